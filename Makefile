@@ -1,0 +1,37 @@
+# Two commands do everything, their own set-up included: `make demo` and `make test`.
+# PYTHON chooses the interpreter (3.11 or newer): make test PYTHON=python3.12
+PYTHON ?= python3
+BIN := .venv/bin
+OCTROBOT := ljjax/data/octrobot
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test check data clean
+
+help: ## what this file can do
+	@sed -n 's/^\([a-z]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
+
+.venv/.ready: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "ljjax needs Python 3.11 or newer; say which with: make PYTHON=/path/to/python3" >&2; exit 2; }
+	@echo "Setting up .venv with pinned versions (once; a few minutes on a fresh machine)…"
+	@$(PYTHON) -m venv .venv
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test]"
+	@touch $@
+
+setup: .venv/.ready ## the pinned environment in .venv
+
+demo: .venv/.ready ## identify OctRobot-I from its published measurements; writes out/demo/
+	@$(BIN)/ljjax fit $(OCTROBOT)/identification.mcap $(OCTROBOT)/open_loop_stiffness.mcap --out out/demo/fit
+
+check: .venv/.ready ## formatting, lint and types
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+
+test: check ## everything that must hold, in under 20 minutes on two cores
+	$(BIN)/python -m pytest -n 2
+
+data: .venv/.ready ## make the bundled MCAP logs anew from the published tables
+	$(BIN)/python -m ljjax.data.make_octrobot_logs
+
+clean: ## remove what the commands above made
+	rm -rf .venv out build dist *.egg-info .pytest_cache .ruff_cache .hypothesis

@@ -1,0 +1,1 @@
+"""ljjax: simulate, identify, diagnose and control layer-jamming continuum robots."""
