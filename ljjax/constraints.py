@@ -1,0 +1,67 @@
+"""Admissible parameters by construction: a smooth one-to-one map from unconstrained numbers to a model.
+
+With P the highest vacuum in use, for every real value of the free numbers the model has masses and lengths > 0,
+α₂ > 0 and φ > 0 on [0, P], μ_S ≥ μ_C > 0, v_s > 0, σ₁ ≥ 0, σ₃ ≥ 1, and passive friction.
+
+α₂ on [0, P] is a quadratic with Bernstein coefficients b₀, b₁, b₂; it is positive there exactly when b₀, b₂ > 0 and
+b₁ > −√(b₀b₂). φ is linear in √u_P, so its two end values decide.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+
+from ljjax._types import Scalar
+from ljjax.model import UNITS, Model, get, replace
+
+_POSITIVE = ("chain.half_length_m", "chain.radius_m", "chain.lever_arm_m", "chain.segment_mass_kg")
+
+
+def unconstrain(model: Model, pressure_max_kpa: float) -> dict[str, Scalar]:
+    """The free numbers of an admissible model: path → scalar. A value on a bound gives −inf."""
+    x = {path: get(model, path) for path in UNITS}
+    p = pressure_max_kpa
+    b0, b2 = x["elastic.c3"], (x["elastic.c1"] * p + x["elastic.c2"]) * p + x["elastic.c3"]
+    b1 = x["elastic.c3"] + x["elastic.c2"] * p / 2
+    mu_gap = x["friction.mu_s"] - x["friction.mu_c"]
+    free = {
+        **{path: jnp.log(x[path]) for path in _POSITIVE},
+        "gravity.alpha1": x["gravity.alpha1"],
+        "elastic.c3": jnp.log(b0),
+        "elastic.c2": jnp.log(b1 + jnp.sqrt(b0 * b2)),
+        "elastic.c1": jnp.log(b2),
+        "jamming.c4": jnp.log(x["jamming.c4"]),
+        "jamming.c5": jnp.log(x["jamming.c4"] + x["jamming.c5"] * p**0.5),
+        "friction.sigma0": jnp.log(x["friction.sigma0"]),
+        "friction.sigma1": jnp.log(x["friction.sigma1"]),
+        "friction.sigma2": jnp.log(x["friction.sigma2"] - x["friction.sigma1"] * mu_gap / x["friction.mu_c"]),
+        "friction.sigma3": jnp.log(x["friction.sigma3"] - 1),
+        "friction.mu_c": jnp.log(x["friction.mu_c"]),
+        "friction.mu_s": jnp.log(mu_gap),
+        "friction.v_s": jnp.log(x["friction.v_s"]),
+    }
+    return {path: free[path] for path in UNITS}
+
+
+def constrain(free: dict[str, Scalar], like: Model, pressure_max_kpa: float) -> Model:
+    """The admissible model of the free numbers; what is not in `free` (and the options) comes from `like`."""
+    free = {**unconstrain(like, pressure_max_kpa), **free}
+    e = {path: jnp.exp(value) for path, value in free.items() if path != "gravity.alpha1"}
+    p = pressure_max_kpa
+    b0, b2 = e["elastic.c3"], e["elastic.c1"]
+    b1 = e["elastic.c2"] - jnp.sqrt(b0 * b2)
+    mu_c, mu_gap = e["friction.mu_c"], e["friction.mu_s"]
+    values = {
+        **{path: e[path] for path in (*_POSITIVE, "friction.sigma0", "friction.sigma1", "friction.v_s")},
+        "gravity.alpha1": free["gravity.alpha1"],
+        "elastic.c3": b0,
+        "elastic.c2": 2 * (b1 - b0) / p,
+        "elastic.c1": (b0 - 2 * b1 + b2) / p**2,
+        "jamming.c4": e["jamming.c4"],
+        "jamming.c5": (e["jamming.c5"] - e["jamming.c4"]) / p**0.5,
+        "friction.mu_c": mu_c,
+        "friction.mu_s": mu_c + mu_gap,
+        "friction.sigma2": e["friction.sigma2"] + e["friction.sigma1"] * mu_gap / mu_c,
+        "friction.sigma3": 1 + e["friction.sigma3"],
+    }
+    return replace(like, values)

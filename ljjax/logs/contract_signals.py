@@ -1,0 +1,227 @@
+"""From the messages of a log that follows contract v1 to samples by signal name."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ljjax.errors import InputError
+from ljjax.logs import cdr, contract, samples
+from ljjax.logs.container import Container
+from ljjax.logs.decode import decoder
+from ljjax.logs.records import Message
+from ljjax.logs.samples import Samples
+
+Decoded = tuple[list[Message], list[Any]]
+
+
+def topics(prefix: str) -> frozenset[str]:
+    """The topics that carry signals under a prefix such as `/real`, with those of their standard deviations."""
+    plain = [prefix + entry.topic for entry in contract.ENTRIES]
+    return frozenset(plain + [topic + contract.SD for topic in plain])
+
+
+def read(box: Container, prefix: str, notes: list[str]) -> dict[str, Samples]:
+    """Samples of every signal there is, as recorded. Raises InputError."""
+    decoded: dict[str, Decoded] = {}
+    kinds = {prefix + e.topic + end: e.type for e in contract.ENTRIES for end in ("", contract.SD)}
+    for topic in box.topics():
+        if topic in kinds:
+            decoded[topic] = _decoded(box, topic, kinds[topic])
+    found = {}
+    for entry in contract.ENTRIES:
+        topic = prefix + entry.topic
+        got = _samples(box.path, entry, topic, decoded, notes)
+        if got is None:
+            continue
+        sd = _samples(box.path, entry, topic + contract.SD, decoded, notes)
+        if sd is not None:
+            got = samples.with_sd(got, sd, box.path, notes)
+        found[entry.signal] = got
+    return found
+
+
+def _decoded(box: Container, topic: str, kind: str) -> Decoded:
+    messages: list[Message] = []
+    values: list[Any] = []
+    ids = {c.id: _contract_decoder(box, c.id, kind) for c in box.topics()[topic] if box.counts[c.id]}
+    for message in box.messages:
+        decode = ids.get(message.channel_id)
+        if decode is not None:
+            try:
+                values.append(decode(message.data))
+            except cdr.MalformedMessage as error:
+                raise InputError(
+                    f"{box.path}: topic {topic}: message {len(values)} (log time {samples.stamp_text(message.log_ns)}) is no "
+                    f"{kind}: {error}; check the publisher's message type"
+                ) from None
+            messages.append(message)
+    return messages, values
+
+
+def _contract_decoder(box: Container, channel_id: int, kind: str) -> Callable[[bytes], Any]:
+    """Our own fast decoder where the schema is the standard one, else the one that the log's schema describes."""
+    channel = box.channels[channel_id]
+    schema = box.schemas.get(channel.schema_id)
+    name = contract.full_type(schema.name) if schema else "(no schema)"
+    if name != kind or channel.encoding != "cdr":
+        raise InputError(
+            f"{box.path}: topic {channel.topic}: is {name} in {channel.encoding}, expected {kind} in cdr; read other people's "
+            "logs with a mapping file (docs/logs.md)"
+        )
+    assert schema is not None
+    text = schema.data.decode("utf-8", "replace")
+    standard = (
+        contract.is_standard(kind, text) if schema.encoding == "ros2msg" else schema.encoding == "ros2idl"
+    )
+    if standard and kind == contract.JOINT_STATE:
+        return cdr.JointStateReader()
+    if standard:
+        count = 7 if kind == contract.POSE_STAMPED else 2
+        return lambda data: cdr.read_scalars(data, count)
+    generic = decoder(box, channel)
+
+    def decode(data: bytes) -> Any:
+        msg = generic(data)
+        try:
+            return _from_object(msg, kind)
+        except (AttributeError, TypeError) as error:
+            raise InputError(
+                f"{box.path}: topic {channel.topic}: its {kind} is not the standard one ({error}); read it with a mapping file"
+            ) from None
+
+    return decode
+
+
+def _from_object(msg: Any, kind: str) -> cdr.JointState | cdr.Scalars:
+    t_ns, frame = msg.header.stamp.sec * 10**9 + msg.header.stamp.nanosec, msg.header.frame_id
+    if kind == contract.JOINT_STATE:
+        return cdr.JointState(
+            t_ns, frame, tuple(msg.name), tuple(msg.position), tuple(msg.velocity), tuple(msg.effort)
+        )
+    if kind == contract.FLUID_PRESSURE:
+        return cdr.Scalars(t_ns, frame, (msg.fluid_pressure, msg.variance))
+    if kind == contract.TEMPERATURE:
+        return cdr.Scalars(t_ns, frame, (msg.temperature, msg.variance))
+    p, q = msg.pose.position, msg.pose.orientation
+    return cdr.Scalars(t_ns, frame, (p.x, p.y, p.z, q.x, q.y, q.z, q.w))
+
+
+def _samples(
+    path: str, entry: contract.Entry, topic: str, decoded: dict[str, Decoded], notes: list[str]
+) -> Samples | None:
+    messages, values = decoded.get(topic, ([], []))
+    if not messages:
+        return None
+    times = np.array(
+        [(v.t_ns, m.log_ns, m.publish_ns) for v, m in zip(values, messages, strict=True)], np.int64
+    ).T
+    if entry.type == contract.JOINT_STATE:
+        return _joint_samples(path, entry, topic, times, values, notes)
+    table = np.array([v.value for v in values], float)
+    sd = None
+    if entry.type != contract.POSE_STAMPED:
+        variance = table[:, 1:]
+        if (variance < 0).any() or np.isnan(variance).any():
+            row = int(np.argmin(np.where(np.isnan(variance[:, 0]), -np.inf, variance[:, 0])))
+            raise InputError(
+                f"{path}: {topic}: sample {row} (stamp {samples.stamp_text(times[0, row])}): variance {variance[row, 0]}; "
+                "expected ≥ 0, with 0 for unknown"
+            )
+        if (variance > 0).any():
+            sd = np.sqrt(np.where(variance > 0, variance, np.nan))
+            unknown = int((variance == 0).sum())
+            if unknown:
+                notes.append(f"{topic}: {unknown} of {len(table)} samples have no variance (NaN)")
+        table = table[:, :1]
+    units = ",".join(entry.units)
+    return Samples(times[0], times[1], times[2], table, entry.columns, units, topic, sd)
+
+
+def _joint_samples(
+    path: str,
+    entry: contract.Entry,
+    topic: str,
+    times: np.ndarray,
+    values: Sequence[cdr.JointState],
+    notes: list[str],
+) -> Samples | None:
+    """Columns picked by name; messages that leave the array empty do not count for this signal."""
+    wanted = _names(path, entry, topic, values[0].name)
+    joints = ("probe",) if entry.signal == "probe" else wanted
+    fields = entry.fields * len(wanted) if len(entry.fields) == 1 else entry.fields
+    picks: dict[tuple[str, ...], list[int]] = {}
+    rows, kept = [], []
+    for i, v in enumerate(values):
+        if any(not getattr(v, field) for field in fields):
+            continue
+        where = picks.get(v.name)
+        if where is None:
+            if (
+                any(v.name.count(joint) != 1 for joint in joints)
+                or _names(path, entry, topic, v.name) != wanted
+            ):
+                raise InputError(
+                    f"{path}: {topic}: message {i} (stamp {samples.stamp_text(v.t_ns)}) names {', '.join(v.name) or 'nothing'}; "
+                    f"expected each of {', '.join(joints)} once; name the joints by the contract or use a mapping file"
+                )
+            where = picks[v.name] = [v.name.index(joint) for joint in joints] * (len(wanted) // len(joints))
+        for field in fields:
+            if len(getattr(v, field)) != len(v.name):
+                raise InputError(
+                    f"{path}: {topic}: message {i} (stamp {samples.stamp_text(v.t_ns)}) has {len(getattr(v, field))} values of "
+                    f"{field} for {len(v.name)} names; expected as many, or none"
+                )
+        rows.append([getattr(v, field)[k] for field, k in zip(fields, where, strict=True)])
+        kept.append(i)
+    if not rows:
+        return None
+    if len(rows) < len(values):
+        notes.append(
+            f"{topic}: {len(values) - len(rows)} of {len(values)} messages have no {' or '.join(entry.fields)}"
+        )
+    table = np.array(rows, float)
+    if entry.signal == "spool" and np.isnan(table).all():
+        return None  # the contract wants spool travel "if known"
+    t_ns, log_ns, publish_ns = times[:, kept]
+    return Samples(t_ns, log_ns, publish_ns, table, wanted, ",".join(entry.units), topic)
+
+
+def _names(path: str, entry: contract.Entry, topic: str, name: tuple[str, ...]) -> tuple[str, ...]:
+    """The columns of a signal; for a shape `theta`, or `q1 … qn` in the order of the body whatever the order in the log."""
+    if entry.columns:
+        return entry.columns
+    segments = sorted((int(n[1:]), n) for n in set(name) if re.fullmatch(r"q[1-9][0-9]*", n))
+    if segments and [k for k, _ in segments] == list(range(1, len(segments) + 1)):
+        return tuple(n for _, n in segments)
+    if "theta" in name and not segments:
+        return ("theta",)
+    raise InputError(
+        f"{path}: {topic}: names {', '.join(name) or 'nothing'}; expected theta, or q1 … qn without a gap; name the angles by the "
+        "contract or use a mapping file"
+    )
+
+
+def plausible(found: dict[str, Samples], notes: list[str]) -> None:
+    """Notes on values that suggest another unit than the contract's."""
+    for name in ("cmd_pressure", "pressure"):
+        s = found.get(name)
+        if s is not None and not (s.value.min() > -2e3 and 2e3 < s.value.max() < 5e5):
+            notes.append(
+                f"{s.topic}: {s.value.min():.6g} to {s.value.max():.6g} is no absolute pressure in Pa; if it is gauge or kPa, "
+                "read the log with a mapping file"
+            )
+    for name in ("cmd_tendons", "tendons"):
+        s = found.get(name)
+        if name == "cmd_tendons" and s is not None and s.value.min() < 0:
+            notes.append(
+                f"{s.topic}: commanded tension down to {s.value.min():.6g} N; the contract wants ≥ 0"
+            )
+    s = found.get("shape")
+    if s is not None and np.abs(s.value).max() > 4 * np.pi:
+        notes.append(
+            f"{s.topic}: angles up to {np.abs(s.value).max():.4g} rad; if they are degrees, read it with a mapping file"
+        )

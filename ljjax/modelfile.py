@@ -1,0 +1,152 @@
+"""Read and write `model.toml` (schema ljjax.model/1)."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ljjax.errors import InputError
+from ljjax.model import TABLES, UNITS, Model, check, get
+
+SCHEMA = "ljjax.model/1"
+LAWS = {"elastic": "polynomial", "jamming": "sqrt"}
+GAUGE = "sigma0=1"
+_EXTRA = {"elastic": {"law"}, "jamming": {"law"}, "friction": {"gauge"}, "chain": {"segments"}}
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """A model and what its file says about it.
+
+    Attributes:
+        model: the parameters.
+        uncertainty: standard deviation by path, in the parameter's unit.
+        frozen: paths that a fit is not to move.
+    """
+
+    model: Model
+    uncertainty: Mapping[str, float] = field(default_factory=dict)
+    frozen: tuple[str, ...] = ()
+
+
+def load(path: str | os.PathLike[str]) -> ModelFile:
+    """Read a model.toml. Raises InputError naming file, key, what was found and what is expected."""
+    where = str(path)
+    try:
+        data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{where}: no such file; give a model.toml") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{where}: cannot be read as text ({error}); give a model.toml") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{where}: not TOML: {error}") from None
+
+    if data.get("schema") != SCHEMA:
+        raise InputError(f'{where}: schema is {data.get("schema")!r}; expected schema = "{SCHEMA}"')
+    _only(where, "", data, {"schema", *TABLES, "effects", "uncertainty", "fit"})
+    if data.get("effects"):
+        raise InputError(f"{where}: [[effects]]: this version of ljjax has no effects yet; remove the table")
+
+    parts: dict[str, Any] = {}
+    for table, kind in TABLES.items():
+        if table not in data:
+            raise InputError(f"{where}: missing table [{table}]")
+        entries = _table(where, table, data[table])
+        names = {p.split(".")[1] for p in UNITS if p.startswith(table + ".")}
+        _only(where, table, entries, names | _EXTRA.get(table, set()))
+        if table in LAWS and entries.get("law", LAWS[table]) != LAWS[table]:
+            raise InputError(f'{where}: {table}.law is {entries["law"]!r}; the law known is "{LAWS[table]}"')
+        values = {}
+        for name in sorted(names):
+            if name not in entries:
+                raise InputError(f"{where}: missing key {table}.{name} [{UNITS[f'{table}.{name}']}]")
+            values[name] = _number(where, f"{table}.{name}", entries[name])
+        if table == "chain":
+            n = entries.get("segments")
+            if not isinstance(n, int) or isinstance(n, bool) or n < 1:
+                raise InputError(f"{where}: chain.segments is {n!r}; expected a whole number ≥ 1")
+            values["segments"] = n
+        if table == "friction":
+            if entries.get("gauge", GAUGE) != GAUGE:
+                raise InputError(f'{where}: friction.gauge is {entries["gauge"]!r}; expected "{GAUGE}"')
+            if values["sigma0"] != 1.0:
+                raise InputError(
+                    f"{where}: friction.sigma0 is {values['sigma0']:g}; the gauge {GAUGE} fixes it at 1: multiply c4 "
+                    "and c5 by sigma0, divide sigma1, sigma2, mu_c and mu_s by it"
+                )
+        parts[table] = kind(**values)
+    model = Model(**parts)
+    check(model, where=where)
+
+    uncertainty = {}
+    for table, entries in _table(where, "uncertainty", data.get("uncertainty", {})).items():
+        for name, value in _table(where, f"uncertainty.{table}", entries).items():
+            key = f"{table}.{name}"
+            if key not in UNITS:
+                raise InputError(f"{where}: uncertainty.{key}: unknown key; expected one of {', '.join(UNITS)}")
+            sd = _number(where, f"uncertainty.{key}", value)
+            if sd < 0:
+                raise InputError(f"{where}: uncertainty.{key} = {sd:g}: a standard deviation must be ≥ 0")
+            uncertainty[key] = sd
+    return ModelFile(model, uncertainty, _frozen(where, _table(where, "fit", data.get("fit", {}))))
+
+
+def _frozen(where: str, entries: dict[str, Any]) -> tuple[str, ...]:
+    _only(where, "fit", entries, {"frozen"})
+    frozen = entries.get("frozen", [])
+    if not isinstance(frozen, list):
+        raise InputError(f'{where}: fit.frozen is {frozen!r}; expected a list such as ["gravity.alpha1"]')
+    for path in frozen:
+        if path not in UNITS:
+            raise InputError(f"{where}: fit.frozen: {path!r} is no parameter; expected one of {', '.join(UNITS)}")
+    return tuple(frozen)
+
+
+def _table(where: str, key: str, value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise InputError(f"{where}: {key} is {value!r}; expected a table [{key}]")
+    return value
+
+
+def _only(where: str, table: str, entries: dict[str, Any], known: Iterable[str]) -> None:
+    for key in entries:
+        if key not in known:
+            full = f"{table}.{key}" if table else key
+            raise InputError(f"{where}: unknown key {full}; expected {', '.join(sorted(known))}")
+
+
+def _number(where: str, key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{where}: {key} is {value!r}; expected a number [{UNITS.get(key, '')}]")
+    if not float("-inf") < value < float("inf"):
+        raise InputError(f"{where}: {key} is {value}; expected a finite number")
+    return float(value)
+
+
+def dumps(file: ModelFile, comment: str = "") -> str:
+    """The text of a model.toml; numbers keep every digit. `comment` goes on top, a line each."""
+    lines = [f"# {line}" for line in comment.splitlines()] + [f'schema = "{SCHEMA}"']
+    for table in TABLES:
+        lines += ["", f"[{table}]"]
+        if table in LAWS:
+            lines.append(f'law = "{LAWS[table]}"')
+        if table == "friction":
+            lines.append(f'gauge = "{GAUGE}"')
+        if table == "chain":
+            lines.append(f"segments = {file.model.n}")
+        for path, unit in UNITS.items():
+            if path.startswith(table + "."):
+                value = float(get(file.model, path))
+                lines.append(f"{path.split('.')[1]} = {value!r}".ljust(40) + f"  # {unit}")
+    for table in TABLES:
+        own = {p.split(".")[1]: sd for p, sd in file.uncertainty.items() if p.startswith(table + ".")}
+        if own:
+            lines += ["", f"[uncertainty.{table}]  # standard deviations"]
+            lines += [f"{name} = {float(sd)!r}" for name, sd in own.items()]
+    if file.frozen:
+        lines += ["", "[fit]", "frozen = [" + ", ".join(f'"{p}"' for p in file.frozen) + "]"]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,239 @@
+"""Simulate a run: the reference solution, by diffrax's adaptive, L-stable, fifth-order Kvaerno5."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+from jaxtyping import Array, Bool, Float
+
+from ljjax import energy
+from ljjax._types import Joints, Scalar
+from ljjax.chain import tip_pose
+from ljjax.dynamics import State, pressure_power, rhs, tendon_torque
+from ljjax.errors import InputError
+from ljjax.friction import breakaway, dissipation
+from ljjax.inputs import Inputs, from_run
+from ljjax.logs.run import Run
+from ljjax.model import Model, check
+
+
+class Trajectory(NamedTuple):
+    """A simulated run.
+
+    Attributes:
+        t: (T,) stamps [s].
+        state: q, v, z, each (T, n).
+        ok: whether the solver reached the last stamp; where False the states after the failure are not finite.
+        steps: steps the solver took.
+    """
+
+    t: Float[Array, "*batch T"]
+    state: State
+    ok: Bool[Array, "*batch"]
+    steps: Array
+
+    @property
+    def theta(self) -> Array:
+        """(T,) mean segment angle [rad]."""
+        return jnp.mean(self.state.q, axis=-1)
+
+    def tip(self, model: Model) -> Array:
+        """(T, 3) tip x, y [m] and orientation q_Σ [rad]."""
+        return jax.vmap(lambda q: tip_pose(model.chain, q))(self.state.q)
+
+
+def rest(model: Model, inputs: Inputs, q: Joints | float = 0.0) -> State:
+    """Rest at the shape q (n,) [rad] under the first inputs: z balances the forces, within |zᵢ| ≤ μ_S/σ₀."""
+    u, u_p, tau = inputs.at(inputs.t[0])
+    shape = jnp.broadcast_to(jnp.asarray(q, inputs.t.dtype), (model.n,))
+    load = tendon_torque(model, shape, u) - energy.potential_gradient(model, shape, u_p)
+    if tau is not None:
+        load = load + tau
+    limit = breakaway(model)
+    z = jnp.clip(load / (model.friction.sigma0 * energy.phi(model, u_p)), -limit, limit)
+    return State(shape, jnp.zeros_like(shape), z)
+
+
+def simulate(
+    model: Model,
+    run: Run | Inputs,
+    *,
+    at: Any = None,
+    initial: State | None = None,
+    inputs: Literal["commands", "measured"] = "commands",
+    rtol: float = 1e-6,
+    atol: float = 1e-8,
+    max_steps: int = 1_000_000,
+    derivatives: Literal["reverse", "forward"] = "reverse",
+    throw: bool = True,
+) -> Trajectory:
+    """The model's motion under a run's inputs, at given stamps.
+
+    Args:
+        run: a logged run, or synthetic `Inputs`.
+        at: (T,) stamps [s] at which to report; a run's shape stamps, or the inputs' own, by default.
+        initial: state at the first of all stamps; by default at rest, in the shape the run shows before its commands
+            move (straight for synthetic inputs).
+        inputs: drive a logged run by its commands or by its measured tension and pressure.
+        rtol, atol: tolerances of the adaptive step, on q [rad], v [rad/s], z [rad].
+        max_steps: after which the solver gives up.
+        derivatives: which mode of differentiation is to work (jax.grad, or jax.jvp and jax.jacfwd).
+        throw: raise where the solver fails; otherwise `Trajectory.ok` says so, and a batch survives.
+
+    Raises:
+        InputError: missing signals, or parameters that are impossible within the run's pressures.
+        RuntimeError: the solver failed, with advice (`throw=True` only).
+    """
+    if isinstance(run, Run):
+        driven = from_run(run, inputs)
+        at = run.signal("shape").t if at is None else at
+        initial = rest(model, driven, initial_shape(run, model.n)) if initial is None else initial
+        where = run.path
+    else:
+        driven, where = run, "inputs"
+        at = driven.t if at is None else at
+    if not isinstance(driven.pressure_kpa, jax.core.Tracer):
+        check(model, np.asarray(driven.pressure_kpa).ravel().tolist(), where)
+    initial = rest(model, driven) if initial is None else initial
+    out = _solve(model, driven, initial, jnp.asarray(at, driven.t.dtype), rtol, atol, max_steps, derivatives)
+    if throw and not isinstance(out.ok, jax.core.Tracer) and not bool(jnp.all(out.ok)):
+        last = float(out.t[np.isfinite(np.asarray(out.state.q[:, 0]))].max(initial=0.0))
+        raise RuntimeError(
+            f"{where}: the reference solver stopped after t = {last:.4g} s and {int(out.steps)} steps. Try a larger "
+            "max_steps, looser tolerances, or float64 (jax.config.update('jax_enable_x64', True))."
+        )
+    return out
+
+
+def initial_shape(run: Run, n: int) -> Array:
+    """(n,) the shape [rad] a run starts from: the mean of the samples before its inputs first change, the first
+    sample at least; joints share θ where only θ is logged."""
+    shape = run.signal("shape")
+    moves = []
+    for name in ("cmd_tendons", "cmd_pressure"):
+        if name in run.signals:
+            s = run.signals[name]
+            changed = np.flatnonzero(np.any(s.value != s.value[0], axis=1))
+            moves += [s.t[changed[0]]] if len(changed) else []
+    still = shape.t <= min([*moves, shape.t[0] + 1.0])
+    still[0] = True
+    mean = shape.value[still].mean(axis=0)
+    if mean.size not in (1, n):
+        raise InputError(
+            f"{run.path}: {shape.topic}: {mean.size} joint angles for a model of {n} segments; "
+            "give a model with chain.segments to match"
+        )
+    return jnp.broadcast_to(jnp.asarray(mean, float), (n,))
+
+
+# diffrax's default root finder compares successive chord updates and takes rounding noise at rest for divergence: the
+# step then shrinks to nothing while the robot stands still. Newton's method does not.
+_SOLVER = diffrax.Kvaerno5(root_finder=diffrax.with_stepsize_controller_tols(optimistix.Newton)())
+
+
+def _integrate(field: Callable, inputs: Inputs, y0: Any, at: Array, rtol, atol, max_steps, derivatives="reverse"):
+    """Integrate y' = field(t, y) from the first stamp through `at`, restarting at every stamp of the inputs."""
+    start = jnp.minimum(inputs.t[0], at[0])
+    return diffrax.diffeqsolve(
+        diffrax.ODETerm(lambda t, y, _: field(t, y)),
+        _SOLVER,
+        t0=start,
+        t1=at[-1],
+        dt0=None,
+        y0=y0,
+        saveat=diffrax.SaveAt(ts=at),
+        stepsize_controller=diffrax.ClipStepSizeController(
+            diffrax.PIDController(rtol=rtol, atol=atol), jump_ts=inputs.t
+        ),
+        max_steps=max_steps,
+        adjoint=diffrax.ForwardMode() if derivatives == "forward" else diffrax.RecursiveCheckpointAdjoint(),
+        throw=False,
+    )
+
+
+@eqx.filter_jit
+def _solve(model, inputs, initial, at, rtol, atol, max_steps, derivatives) -> Trajectory:
+    def field(t, state):
+        return rhs(model, state, *inputs.at(t))
+
+    out = _integrate(field, inputs, initial, at, rtol, atol, max_steps, derivatives)
+    assert out.ys is not None
+    return Trajectory(at, out.ys, out.result == diffrax.RESULTS.successful, out.stats["num_steps"])
+
+
+class EnergyBalance(NamedTuple):
+    """Stored energy against what came in and what was lost, at the stamps `t` [s]; every entry (T,) [J].
+
+    `stored` = 𝓗(t) − 𝓗(t₀), `tendons` the work of the tensions, `pressure` of the moving vacuum, `external` of
+    outside torques, `lost` the friction's dissipation; `residual` = stored − tendons − pressure − external + lost.
+    """
+
+    t: Array
+    stored: Array
+    tendons: Array
+    pressure: Array
+    external: Array
+    lost: Array
+
+    @property
+    def residual(self) -> Array:
+        return self.stored - self.tendons - self.pressure - self.external + self.lost
+
+
+def energy_balance(
+    model: Model,
+    inputs: Inputs,
+    *,
+    at: Any = None,
+    initial: State | None = None,
+    rtol: float = 1e-8,
+    atol: float = 1e-10,
+    max_steps: int = 1_000_000,
+) -> EnergyBalance:
+    """The balance of model section 5, the pressure port included; it closes to the solver's tolerance.
+
+    A held pressure jumps at its stamps; the work of a jump is 𝓗 after it minus 𝓗 before it, in the same state.
+    """
+    initial = rest(model, inputs) if initial is None else initial
+    at = np.asarray(inputs.t if at is None else at)
+    jumps = np.asarray(inputs.t)[1:] if inputs.hold else np.empty(0)
+    jumps = jumps[(jumps > at[0]) & (jumps <= at[-1])]
+    everywhere = np.union1d(at, jumps)
+    state, work = _solve_with_work(
+        model, inputs, initial, jnp.asarray(everywhere, inputs.t.dtype), rtol, atol, max_steps
+    )
+    level = jax.vmap(lambda s, u_p: energy.total(model, s.q, s.v, s.z, u_p))
+    after = jax.vmap(lambda t: inputs.at(t)[1])(jnp.asarray(everywhere, inputs.t.dtype))
+    before = jnp.concatenate([after[:1], after[:-1]]) if inputs.hold else after
+    h_after = np.asarray(level(state, after))
+    jump_work = np.cumsum(h_after - np.asarray(level(state, before))) if inputs.hold else 0.0
+    tendons, pressure, external, lost = (np.asarray(w) for w in work)
+    keep = np.isin(everywhere, at)
+    series = (h_after - h_after[0], tendons, pressure + jump_work, external, lost)
+    return EnergyBalance(jnp.asarray(everywhere[keep]), *(jnp.asarray(x[keep]) for x in series))
+
+
+@eqx.filter_jit
+def _solve_with_work(model, inputs, initial, at, rtol, atol, max_steps):
+    def field(t, y):
+        state, _ = y
+        u, u_p, tau = inputs.at(t)
+        rates = (
+            tendon_torque(model, state.q, u) @ state.v,
+            pressure_power(model, state, u_p, inputs.pressure_rate(t)),
+            jnp.zeros_like(t) if tau is None else tau @ state.v,
+            dissipation(model.friction, state.v, state.z, energy.phi(model, u_p)),
+        )
+        return rhs(model, state, u, u_p, tau), rates
+
+    zero: Scalar = jnp.zeros((), at.dtype)
+    out = _integrate(field, inputs, (initial, (zero, zero, zero, zero)), at, rtol, atol, max_steps)
+    assert out.ys is not None
+    return out.ys

@@ -1,0 +1,7 @@
+"""Strict numerics for every test: float64, no silent promotion, no silent rank promotion."""
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")
