@@ -77,6 +77,4 @@ def from_run(run: Run, source: Literal["commands", "measured"] = "commands") -> 
         u, p = tendons.interpolated_at(t), pressure.interpolated_at(t)[:, 0]
     else:
         raise InputError(f"inputs are 'commands' or 'measured', not {source!r}")
-    return Inputs(
-        jnp.asarray(t, float), jnp.asarray(u, float), jnp.asarray(p, float), hold=source == "commands"
-    )
+    return Inputs(jnp.asarray(t, float), jnp.asarray(u, float), jnp.asarray(p, float), hold=source == "commands")

@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from ljjax._types import Joints, Scalar
 from ljjax.errors import InputError
@@ -116,7 +117,7 @@ def get(model: Model, path: str) -> Scalar:
 
 
 def replace(model: Model, values: Mapping[str, Any]) -> Model:
-    """The model with the parameters named in `values` (path → value) replaced. Raises InputError for an unknown path."""
+    """The model with the parameters named in `values` (path → value) replaced. Raises InputError for unknown paths."""
     for path in values:
         _known(path)
     if not values:
@@ -144,7 +145,7 @@ def check(model: Model, pressures_kpa: Iterable[float] = (0.0,), where: str = "m
     Raises:
         InputError: naming `where`, the parameter, its value and the reason.
     """
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(model)):
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(model)):
         return
     value = {path: float(get(model, path)) for path in UNITS}
 

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from ljjax import energy
@@ -99,11 +100,11 @@ def simulate(
     else:
         driven, where = run, "inputs"
         at = driven.t if at is None else at
-    if not isinstance(driven.pressure_kpa, jax.core.Tracer):
+    if not isinstance(driven.pressure_kpa, Tracer):
         check(model, np.asarray(driven.pressure_kpa).ravel().tolist(), where)
     initial = rest(model, driven) if initial is None else initial
     out = _solve(model, driven, initial, jnp.asarray(at, driven.t.dtype), rtol, atol, max_steps, derivatives)
-    if throw and not isinstance(out.ok, jax.core.Tracer) and not bool(jnp.all(out.ok)):
+    if throw and not isinstance(out.ok, Tracer) and not bool(jnp.all(out.ok)):
         last = float(out.t[np.isfinite(np.asarray(out.state.q[:, 0]))].max(initial=0.0))
         raise RuntimeError(
             f"{where}: the reference solver stopped after t = {last:.4g} s and {int(out.steps)} steps. Try a larger "

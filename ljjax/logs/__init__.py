@@ -1,4 +1,4 @@
-"""Logs: read, write and find MCAP files that follow contract v1, or other people's through a mapping. Never loads JAX."""
+"""Logs: read, write and find MCAP files in contract v1, or other people's through a mapping. Never loads JAX."""
 
 from ljjax.logs.find import find
 from ljjax.logs.mapping import Mapping, load_mapping

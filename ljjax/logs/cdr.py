@@ -14,7 +14,11 @@ _SLACK = 8  # bytes of padding that some middlewares leave at the end
 
 
 class MalformedMessage(ValueError):
-    """Bytes that are not the message they claim to be."""
+    """Bytes that are not the message they claim to be; `index` says which of several."""
+
+    def __init__(self, why: str, index: int = 0):
+        super().__init__(why)
+        self.index = index
 
 
 class JointState(NamedTuple):
@@ -86,9 +90,7 @@ def scalars(t_ns: int, frame_id: str, value: Sequence[float]) -> bytes:
     return bytes(out)
 
 
-def diagnostic_array(
-    t_ns: int, status: Sequence[tuple[int, str, str, str, Sequence[tuple[str, str]]]]
-) -> bytes:
+def diagnostic_array(t_ns: int, status: Sequence[tuple[int, str, str, str, Sequence[tuple[str, str]]]]) -> bytes:
     """CDR of a diagnostic_msgs/DiagnosticArray; a status is (level, name, message, hardware_id, (key, value) pairs)."""
     out = _put_header(t_ns, "")
     _aligned(out, 4)
@@ -118,18 +120,14 @@ class _Cursor:
             return ()
         at = self.at + (-(self.at - 4) % size)
         if at + size * count > len(self.data):
-            raise MalformedMessage(
-                f"{count} values of {size} bytes do not fit in a message of {len(self.data)} bytes"
-            )
+            raise MalformedMessage(f"{count} values of {size} bytes do not fit in a message of {len(self.data)} bytes")
         self.at = at + size * count
         return struct.unpack_from(f"{self.order}{count}{code}", self.data, at)
 
     def string(self) -> str:
         (length,) = self.take("I", 4, 1)
         if self.at + length > len(self.data):
-            raise MalformedMessage(
-                f"a string of {length} bytes does not fit in a message of {len(self.data)} bytes"
-            )
+            raise MalformedMessage(f"a string of {length} bytes does not fit in a message of {len(self.data)} bytes")
         raw = self.data[self.at : self.at + length]
         self.at += length
         try:
@@ -149,59 +147,69 @@ class _Cursor:
             raise MalformedMessage(f"{len(self.data) - self.at} bytes are left over at the end")
 
 
-class JointStateReader:
-    """Decodes JointState messages; the layout of the last one makes the next of the same shape fast."""
-
-    def __init__(self) -> None:
-        self._key: tuple[int, bytes] | None = None
-        self._floats: list[tuple[int, struct.Struct, struct.Struct]] = []
-        self._last: JointState | None = None
-        self._stamp = struct.Struct("<iI")
-
-    def __call__(self, data: bytes) -> JointState:
-        """Raises MalformedMessage."""
-        if self._key is not None and self._last is not None:
-            size, names = self._key
-            if len(data) == size and data[12 : 12 + len(names)] == names and data[:4] == _LITTLE:
-                return self._again(data)
-        return self._first(data)
-
-    def _again(self, data: bytes) -> JointState:
-        assert self._last is not None
-        arrays = []
-        for at, count, values in self._floats:
-            if count.unpack_from(data, at)[0] * 8 != values.size:
-                return self._first(data)
-            arrays.append(values.unpack_from(data, at + 4 + (-at % 8 if values.size else 0)))
-        sec, nanosec = self._stamp.unpack_from(data, 4)
-        if nanosec >= 1_000_000_000:
-            raise MalformedMessage(f"a stamp with {nanosec} nanoseconds")
-        last = self._last
-        return JointState(sec * 1_000_000_000 + nanosec, last.frame_id, last.name, *arrays)
-
-    def _first(self, data: bytes) -> JointState:
-        cursor = _Cursor(data)
-        t_ns, frame_id = cursor.header()
-        (count,) = cursor.take("I", 4, 1)
-        if count > len(data):
-            raise MalformedMessage(f"{count} names do not fit in a message of {len(data)} bytes")
-        name = tuple(cursor.string() for _ in range(count))
-        names_end = cursor.at
-        arrays, floats = [], []
-        for _ in range(3):
-            (count,) = cursor.take("I", 4, 1)
-            floats.append((cursor.at - 4, struct.Struct("<I"), struct.Struct(f"<{min(count, len(data))}d")))
-            arrays.append(cursor.take("d", 8, count))
-        cursor.end()
-        self._key, self._floats = (len(data), data[12:names_end]), floats
-        self._last = JointState(t_ns, frame_id, name, *arrays)
-        return self._last
+def read_joint_states(messages: Sequence[bytes]) -> list[JointState]:
+    """JointState messages; the layout of one makes the next of the same shape fast. Raises MalformedMessage."""
+    found: list[JointState] = []
+    stamp, counts = struct.Struct("<iI"), struct.Struct("<I")
+    size, names, floats, last = -1, b"", [], None
+    for i, data in enumerate(messages):
+        if last is not None and len(data) == size and data[:4] == _LITTLE and data[12 : 12 + len(names)] == names:
+            arrays = []
+            for at, start, form in floats:
+                if counts.unpack_from(data, at)[0] * 8 != form.size:
+                    break
+                arrays.append(form.unpack_from(data, start))
+            sec, nanosec = stamp.unpack_from(data, 4)
+            if len(arrays) == 3 and nanosec < 1_000_000_000:
+                found.append(JointState(sec * 1_000_000_000 + nanosec, last.frame_id, last.name, *arrays))
+                continue
+        try:
+            last, names_end, places = _joint_state(data)
+        except MalformedMessage as error:
+            raise MalformedMessage(str(error), i) from None
+        size, names = len(data), data[12:names_end]
+        floats = [(at, at + 4 + (-at % 8 if n else 0), struct.Struct(f"<{n}d")) for at, n in places]
+        found.append(last)
+    return found
 
 
-def read_scalars(data: bytes, count: int) -> Scalars:
-    """A header and `count` doubles. Raises MalformedMessage."""
+def _joint_state(data: bytes) -> tuple[JointState, int, list[tuple[int, int]]]:
+    """(message, where its names end, where the count of each array stands and what it is)."""
     cursor = _Cursor(data)
     t_ns, frame_id = cursor.header()
-    value = cursor.take("d", 8, count)
+    (count,) = cursor.take("I", 4, 1)
+    if count > len(data):
+        raise MalformedMessage(f"{count} names do not fit in a message of {len(data)} bytes")
+    name = tuple(cursor.string() for _ in range(count))
+    names_end = cursor.at
+    arrays, places = [], []
+    for _ in range(3):
+        (count,) = cursor.take("I", 4, 1)
+        places.append((cursor.at - 4, count))
+        arrays.append(cursor.take("d", 8, count))
     cursor.end()
-    return Scalars(t_ns, frame_id, value)
+    return JointState(t_ns, frame_id, name, *arrays), names_end, places
+
+
+def read_scalars(messages: Sequence[bytes], count: int) -> list[Scalars]:
+    """Messages of a header and `count` doubles, as above. Raises MalformedMessage."""
+    found: list[Scalars] = []
+    stamp, doubles = struct.Struct("<iI"), struct.Struct(f"<{count}d")
+    size, frame, frame_id, start = -1, b"", "", 0
+    for i, data in enumerate(messages):
+        if len(data) == size and data[:4] == _LITTLE and data[12 : 12 + len(frame)] == frame:
+            sec, nanosec = stamp.unpack_from(data, 4)
+            if nanosec < 1_000_000_000:
+                found.append(Scalars(sec * 1_000_000_000 + nanosec, frame_id, doubles.unpack_from(data, start)))
+                continue
+        try:
+            cursor = _Cursor(data)
+            t_ns, frame_id = cursor.header()
+            size, frame = len(data), data[12 : cursor.at]
+            value = cursor.take("d", 8, count)
+            start = cursor.at - doubles.size
+            cursor.end()
+        except MalformedMessage as error:
+            raise MalformedMessage(str(error), i) from None
+        found.append(Scalars(t_ns, frame_id, value))
+    return found

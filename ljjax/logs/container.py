@@ -1,7 +1,7 @@
 """An MCAP file walked from front to back, checked on the way: what a reader or a copier may rely on.
 
-The walk goes on as long as everything holds. At the first thing that does not, it keeps what came before, says where and
-why (`Damage`), and from there on only looks for the run's metadata.
+The walk goes on as long as everything holds. At the first thing that does not, it keeps what came before,
+says where and why (`Damage`), and from there on only looks for the run's metadata.
 """
 
 from __future__ import annotations
@@ -87,9 +87,7 @@ class Walk:
         self.size = os.fstat(stream.fileno()).st_size
         self.at, self.crc, self.sha = 0, 0, hashlib.sha256()
         self.keep: set[int] = set()
-        self.sealed_ids: set[int] = (
-            set()
-        )  # channels and schemas (+ 1 << 16) that a chunk's checksum vouches for
+        self.sealed_ids: set[int] = set()  # channels and schemas (+ 1 << 16) that a chunk's checksum vouches for
         self.first_ns = self.last_ns = -1
         self.bare = 0  # messages that no checksum of their own covers
         self.n_chunks = self.n_metadata = 0
@@ -115,9 +113,7 @@ class Walk:
 
     def run(self) -> Container:
         if self.take(len(records.MAGIC)) != records.MAGIC:
-            raise InputError(
-                f"{self.out.path}: is not an MCAP file (it does not begin with the MCAP signature)"
-            )
+            raise InputError(f"{self.out.path}: is not an MCAP file (it does not begin with the MCAP signature)")
         if self.data_section():
             summary.check(self)
         while self.take(1 << 20):
@@ -135,9 +131,7 @@ class Walk:
         """(offset, opcode, content), or None where the file is cut or a length is absurd (that is noted)."""
         start = self.at
         if start == self.size:
-            self.damaged(
-                start, "the file ends here without its closing records: it was cut, or its writer stopped"
-            )
+            self.damaged(start, "the file ends here without its closing records: it was cut, or its writer stopped")
             return None
         prefix = self.take(9)
         length = int.from_bytes(prefix[1:], "little")
@@ -151,20 +145,19 @@ class Walk:
         return start, prefix[0], content
 
     def cut(self, start: int, prefix: bytes) -> None:
-        """The file ends inside a record; of a chunk, what can still be had of it counts, and is said to be unchecked."""
+        """The file ends inside a record; of a chunk, what can still be had counts, and is said to be unchecked."""
         why = "the file is cut inside a record, or the record's length is wrong"
         left = self.size - self.at
-        rest = chunks.salvaged(self.take(left)) if prefix[:1] == b"\x06" and self.out.damage is None else []
+        rest = (
+            chunks.salvaged(self.take(left)) if prefix[:1] == bytes([records.CHUNK]) and self.out.damage is None else []
+        )
         before = self.bare
         try:
-            for opcode, content in rest:
-                self.content(opcode, content, sealed=False)
+            self.contents(rest, sealed=False)
         except Malformed:
             pass
         if self.bare > before:
-            why += (
-                f"; the last {self.bare - before} messages are from the cut chunk, and could not be checked"
-            )
+            why += f"; the last {self.bare - before} messages are from the cut chunk, and could not be checked"
         self.damaged(start, why)
 
     def data_section(self) -> bool:
@@ -192,10 +185,11 @@ class Walk:
     def data_crc_fails(self, at: int) -> None:
         if self.out.damage is None and self.bare:
             raise InputError(
-                f"{self.out.path}: the checksum of the data section (byte {at}) fails and {self.bare} messages have none of "
-                "their own, so no sample can be trusted; take an undamaged copy of the file, or record in chunks"
+                f"{self.out.path}: the checksum of the data section (byte {at}) fails and {self.bare} messages have "
+                "none of their own, so no sample can be trusted; take an undamaged copy of the file, or record in "
+                "chunks"
             )
-        why = "the checksum of the data section fails though that of each chunk holds: something beside the chunks is altered"
+        why = "the checksum of the data section fails though each chunk holds: something beside the chunks is altered"
         self.damaged(at, why + (f" (perhaps metadata {contract.RUN_RECORD})" if self.unsealed_run else ""))
 
     def data_record(self, start: int, opcode: int, content: bytes) -> None:
@@ -215,7 +209,7 @@ class Walk:
             records.message_index(content)
         elif opcode in (records.SCHEMA, records.CHANNEL, records.MESSAGE):
             if self.out.damage is None:
-                self.content(opcode, content, sealed=False)
+                self.contents([(opcode, content)], sealed=False)
         elif opcode < records.PRIVATE:
             raise Malformed(f"a record of the unknown or misplaced kind {opcode}")
         elif records.looks_like_a_record(content, opcode - records.PRIVATE):
@@ -232,43 +226,52 @@ class Walk:
                 parsed.append((opcode, content))
             elif opcode < records.PRIVATE:
                 raise Malformed(f"a chunk holds a record of kind {opcode}")
-        for opcode, content in parsed:
-            self.content(opcode, content, sealed=box.crc != 0)
+        self.contents(parsed, sealed=box.crc != 0)
         self.n_chunks += 1
 
-    def content(self, opcode: int, content: bytes, sealed: bool) -> None:
-        if opcode == records.MESSAGE:
-            message = records.message(content)
-            if message.channel_id not in self.out.channels:
+    def contents(self, found: list[tuple[int, bytes]], sealed: bool) -> None:
+        """Take schemas, channels and messages, in their order. `sealed`: a checksum of their own covers them."""
+        start = 0
+        for i, (opcode, content) in enumerate(found):
+            if opcode != records.MESSAGE:
+                self.messages([data for _, data in found[start:i]], sealed)
+                self.definition(opcode, content, sealed)
+                start = i + 1
+        self.messages([data for _, data in found[start:]], sealed)
+
+    def messages(self, contents: list[bytes], sealed: bool) -> None:
+        out = self.out
+        for message in records.messages(contents):
+            if message.channel_id not in out.channels:
                 raise Malformed(f"a message of channel {message.channel_id}, which nothing describes")
-            self.out.counts[message.channel_id] += 1
+            out.counts[message.channel_id] += 1
             self.bare += not sealed
             if self.first_ns < 0:
                 self.first_ns = message.log_ns
-            self.last_ns = max(self.last_ns, message.log_ns)
+            if message.log_ns > self.last_ns:
+                self.last_ns = message.log_ns
             if message.channel_id in self.keep:
-                self.out.messages.append(message)
-        elif opcode == records.SCHEMA:
+                out.messages.append(message)
+
+    def definition(self, opcode: int, content: bytes, sealed: bool) -> None:
+        if opcode == records.SCHEMA:
             schema = records.schema(content)
             self.define(self.out.schemas, schema.id, schema, schema.id + (1 << 16), sealed)
         else:
             channel = records.channel(content)
-            if self.define(self.out.channels, channel.id, channel, channel.id, sealed):
-                (self.keep.add if self.wanted(channel.topic) else self.keep.discard)(channel.id)
+            self.define(self.out.channels, channel.id, channel, channel.id, sealed)
+            (self.keep.add if self.wanted(channel.topic) else self.keep.discard)(channel.id)
 
-    def define(self, table: dict, key: int, value: Schema | Channel, seal: int, sealed: bool) -> bool:
+    def define(self, table: dict, key: int, value: Schema | Channel, seal: int, sealed: bool) -> None:
         """Take a definition; where two differ, the one that a checksum covers holds, and the file is damaged."""
         known = table.get(key)
         if known is not None and known != value:
             if seal in self.sealed_ids or not sealed or self.out.counts[key]:
                 raise Malformed(f"{type(value).__name__.lower()} {key} is defined twice and differently")
-            self.damaged(
-                self.at, f"{type(value).__name__.lower()} {key} differs outside and inside the chunks"
-            )
+            self.damaged(self.at, f"{type(value).__name__.lower()} {key} differs outside and inside the chunks")
         table[key] = value
         if sealed:
             self.sealed_ids.add(seal)
-        return True
 
     def metadata(self, start: int, name: str, pairs: dict[str, str]) -> None:
         self.n_metadata += 1
@@ -285,7 +288,5 @@ class Walk:
     def check_attachments(self) -> None:
         for name, (sha, place) in self.attachment_sha.items():
             if self.expected_attachments.get(name, sha) != sha:
-                self.damaged(
-                    int(place.split()[1]), f"attachment {name!r} does not have the sha256 the log states"
-                )
+                self.damaged(int(place.split()[1]), f"attachment {name!r} does not have the sha256 the log states")
                 self.out.attachments.pop(name, None)

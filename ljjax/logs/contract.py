@@ -65,7 +65,7 @@ ENTRIES = (
     Entry("pressure", "/pressure", FLUID_PRESSURE, ("pressure",), ("Pa",), (), "jamming", "optional: actuation"),
     Entry("shape", "/shape", JOINT_STATE, (), ("rad",), ("position",), "base", "output"),
     Entry("tip", "/tip/pose", POSE_STAMPED, POSE, ("m",) * 3 + ("1",) * 4, (), "base", "optional output"),
-    Entry("probe", "/probe", JOINT_STATE, ("position", "force"), ("m", "N"), ("position", "effort"), "base", "stiffness"),
+    Entry("probe", "/probe", JOINT_STATE, ("position", "force"), ("m", "N"), ("position", "effort"), "base", "probe"),
     Entry("temperature", "/temperature", TEMPERATURE, ("temperature",), ("degC",), (), "ambient", "optional"),
 )  # fmt: skip
 BY_SIGNAL = {entry.signal: entry for entry in ENTRIES}

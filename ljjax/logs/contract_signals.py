@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from ljjax.errors import InputError
 from ljjax.logs import cdr, contract, samples
 from ljjax.logs.container import Container
 from ljjax.logs.decode import decoder
-from ljjax.logs.records import Message
+from ljjax.logs.records import Channel, Message
 from ljjax.logs.samples import Samples
 
 Decoded = tuple[list[Message], list[Any]]
@@ -47,61 +47,54 @@ def read(box: Container, prefix: str, notes: list[str]) -> dict[str, Samples]:
 def _decoded(box: Container, topic: str, kind: str) -> Decoded:
     messages: list[Message] = []
     values: list[Any] = []
-    ids = {c.id: _contract_decoder(box, c.id, kind) for c in box.topics()[topic] if box.counts[c.id]}
-    for message in box.messages:
-        decode = ids.get(message.channel_id)
-        if decode is not None:
-            try:
-                values.append(decode(message.data))
-            except cdr.MalformedMessage as error:
-                raise InputError(
-                    f"{box.path}: topic {topic}: message {len(values)} (log time {samples.stamp_text(message.log_ns)}) is no "
-                    f"{kind}: {error}; check the publisher's message type"
-                ) from None
-            messages.append(message)
+    for channel in box.topics()[topic]:
+        if box.counts[channel.id]:
+            mine = [m for m in box.messages if m.channel_id == channel.id]
+            messages += mine
+            values += _values(box, channel, kind, mine)
+    if len(box.topics()[topic]) > 1:  # several publishers: back into the order of the log
+        order = sorted(range(len(messages)), key=lambda i: messages[i].log_ns)
+        messages, values = [messages[i] for i in order], [values[i] for i in order]
     return messages, values
 
 
-def _contract_decoder(box: Container, channel_id: int, kind: str) -> Callable[[bytes], Any]:
+def _values(box: Container, channel: Channel, kind: str, messages: list[Message]) -> list[Any]:
     """Our own fast decoder where the schema is the standard one, else the one that the log's schema describes."""
-    channel = box.channels[channel_id]
+    place = f"{box.path}: topic {channel.topic}"
     schema = box.schemas.get(channel.schema_id)
     name = contract.full_type(schema.name) if schema else "(no schema)"
-    if name != kind or channel.encoding != "cdr":
+    if schema is None or name != kind or channel.encoding != "cdr":
         raise InputError(
-            f"{box.path}: topic {channel.topic}: is {name} in {channel.encoding}, expected {kind} in cdr; read other people's "
-            "logs with a mapping file (docs/logs.md)"
+            f"{place}: is {name} in {channel.encoding}, expected {kind} in cdr; read other people's logs with a "
+            "mapping file (docs/logs.md)"
         )
-    assert schema is not None
+    data = [m.data for m in messages]
     text = schema.data.decode("utf-8", "replace")
-    standard = (
-        contract.is_standard(kind, text) if schema.encoding == "ros2msg" else schema.encoding == "ros2idl"
-    )
-    if standard and kind == contract.JOINT_STATE:
-        return cdr.JointStateReader()
-    if standard:
-        count = 7 if kind == contract.POSE_STAMPED else 2
-        return lambda data: cdr.read_scalars(data, count)
-    generic = decoder(box, channel)
-
-    def decode(data: bytes) -> Any:
-        msg = generic(data)
-        try:
-            return _from_object(msg, kind)
-        except (AttributeError, TypeError) as error:
-            raise InputError(
-                f"{box.path}: topic {channel.topic}: its {kind} is not the standard one ({error}); read it with a mapping file"
-            ) from None
-
-    return decode
+    standard = contract.is_standard(kind, text) if schema.encoding == "ros2msg" else schema.encoding == "ros2idl"
+    try:
+        if standard and kind == contract.JOINT_STATE:
+            return list(cdr.read_joint_states(data))
+        if standard:
+            return list(cdr.read_scalars(data, 7 if kind == contract.POSE_STAMPED else 2))
+    except cdr.MalformedMessage as error:
+        when = samples.stamp_text(messages[error.index].log_ns)
+        raise InputError(
+            f"{place}: message {error.index} (log time {when}) is no {kind}: {error}; check the publisher's message "
+            "type"
+        ) from None
+    decode = decoder(box, channel)
+    try:
+        return [_from_object(decode(item), kind) for item in data]
+    except (AttributeError, TypeError) as error:
+        raise InputError(
+            f"{place}: its {kind} is not the standard one ({error}); read it with a mapping file"
+        ) from None
 
 
 def _from_object(msg: Any, kind: str) -> cdr.JointState | cdr.Scalars:
     t_ns, frame = msg.header.stamp.sec * 10**9 + msg.header.stamp.nanosec, msg.header.frame_id
     if kind == contract.JOINT_STATE:
-        return cdr.JointState(
-            t_ns, frame, tuple(msg.name), tuple(msg.position), tuple(msg.velocity), tuple(msg.effort)
-        )
+        return cdr.JointState(t_ns, frame, tuple(msg.name), tuple(msg.position), tuple(msg.velocity), tuple(msg.effort))
     if kind == contract.FLUID_PRESSURE:
         return cdr.Scalars(t_ns, frame, (msg.fluid_pressure, msg.variance))
     if kind == contract.TEMPERATURE:
@@ -116,9 +109,7 @@ def _samples(
     messages, values = decoded.get(topic, ([], []))
     if not messages:
         return None
-    times = np.array(
-        [(v.t_ns, m.log_ns, m.publish_ns) for v, m in zip(values, messages, strict=True)], np.int64
-    ).T
+    times = np.array([(v.t_ns, m.log_ns, m.publish_ns) for v, m in zip(values, messages, strict=True)], np.int64).T
     if entry.type == contract.JOINT_STATE:
         return _joint_samples(path, entry, topic, times, values, notes)
     table = np.array([v.value for v in values], float)
@@ -128,8 +119,8 @@ def _samples(
         if (variance < 0).any() or np.isnan(variance).any():
             row = int(np.argmin(np.where(np.isnan(variance[:, 0]), -np.inf, variance[:, 0])))
             raise InputError(
-                f"{path}: {topic}: sample {row} (stamp {samples.stamp_text(times[0, row])}): variance {variance[row, 0]}; "
-                "expected ≥ 0, with 0 for unknown"
+                f"{path}: {topic}: sample {row} (stamp {samples.stamp_text(times[0, row])}): variance "
+                f"{variance[row, 0]}; expected ≥ 0, with 0 for unknown"
             )
         if (variance > 0).any():
             sd = np.sqrt(np.where(variance > 0, variance, np.nan))
@@ -160,20 +151,18 @@ def _joint_samples(
             continue
         where = picks.get(v.name)
         if where is None:
-            if (
-                any(v.name.count(joint) != 1 for joint in joints)
-                or _names(path, entry, topic, v.name) != wanted
-            ):
+            if any(v.name.count(joint) != 1 for joint in joints) or _names(path, entry, topic, v.name) != wanted:
                 raise InputError(
-                    f"{path}: {topic}: message {i} (stamp {samples.stamp_text(v.t_ns)}) names {', '.join(v.name) or 'nothing'}; "
-                    f"expected each of {', '.join(joints)} once; name the joints by the contract or use a mapping file"
+                    f"{path}: {topic}: message {i} (stamp {samples.stamp_text(v.t_ns)}) names "
+                    f"{', '.join(v.name) or 'nothing'}; expected each of {', '.join(joints)} once; name the joints by "
+                    "the contract or use a mapping file"
                 )
             where = picks[v.name] = [v.name.index(joint) for joint in joints] * (len(wanted) // len(joints))
         for field in fields:
             if len(getattr(v, field)) != len(v.name):
                 raise InputError(
-                    f"{path}: {topic}: message {i} (stamp {samples.stamp_text(v.t_ns)}) has {len(getattr(v, field))} values of "
-                    f"{field} for {len(v.name)} names; expected as many, or none"
+                    f"{path}: {topic}: message {i} (stamp {samples.stamp_text(v.t_ns)}) has {len(getattr(v, field))} "
+                    f"values of {field} for {len(v.name)} names; expected as many, or none"
                 )
         rows.append([getattr(v, field)[k] for field, k in zip(fields, where, strict=True)])
         kept.append(i)
@@ -191,7 +180,7 @@ def _joint_samples(
 
 
 def _names(path: str, entry: contract.Entry, topic: str, name: tuple[str, ...]) -> tuple[str, ...]:
-    """The columns of a signal; for a shape `theta`, or `q1 … qn` in the order of the body whatever the order in the log."""
+    """The columns of a signal; for a shape `theta`, or `q1 … qn` in the order of the body, not of the log."""
     if entry.columns:
         return entry.columns
     segments = sorted((int(n[1:]), n) for n in set(name) if re.fullmatch(r"q[1-9][0-9]*", n))
@@ -200,8 +189,8 @@ def _names(path: str, entry: contract.Entry, topic: str, name: tuple[str, ...]) 
     if "theta" in name and not segments:
         return ("theta",)
     raise InputError(
-        f"{path}: {topic}: names {', '.join(name) or 'nothing'}; expected theta, or q1 … qn without a gap; name the angles by the "
-        "contract or use a mapping file"
+        f"{path}: {topic}: names {', '.join(name) or 'nothing'}; expected theta, or q1 … qn without a gap; name the "
+        "angles by the contract or use a mapping file"
     )
 
 
@@ -211,15 +200,13 @@ def plausible(found: dict[str, Samples], notes: list[str]) -> None:
         s = found.get(name)
         if s is not None and not (s.value.min() > -2e3 and 2e3 < s.value.max() < 5e5):
             notes.append(
-                f"{s.topic}: {s.value.min():.6g} to {s.value.max():.6g} is no absolute pressure in Pa; if it is gauge or kPa, "
-                "read the log with a mapping file"
+                f"{s.topic}: {s.value.min():.6g} to {s.value.max():.6g} is no absolute pressure in Pa; if it is gauge "
+                "or kPa, read the log with a mapping file"
             )
     for name in ("cmd_tendons", "tendons"):
         s = found.get(name)
         if name == "cmd_tendons" and s is not None and s.value.min() < 0:
-            notes.append(
-                f"{s.topic}: commanded tension down to {s.value.min():.6g} N; the contract wants ≥ 0"
-            )
+            notes.append(f"{s.topic}: commanded tension down to {s.value.min():.6g} N; the contract wants ≥ 0")
     s = found.get("shape")
     if s is not None and np.abs(s.value).max() > 4 * np.pi:
         notes.append(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 from typing import Any
 
 from ljjax.errors import InputError
@@ -42,15 +44,16 @@ def _plain(box: Container, channel: Channel, place: str) -> Callable[[bytes], An
         from mcap_protobuf.decoder import DecoderFactory
     else:
         raise InputError(
-            f"{place}: is encoded as {channel.encoding} with a schema in {schema.encoding}; expected cdr with ros2msg, "
-            "json, or protobuf; convert the log"
+            f"{place}: is encoded as {channel.encoding} with a schema in {schema.encoding}; expected cdr with "
+            "ros2msg, json, or protobuf; convert the log"
         )
     from mcap.records import Schema
 
     try:
-        found = DecoderFactory().decoder_for(
-            channel.encoding, Schema(schema.id, schema.data, schema.encoding, schema.name)
-        )
+        with redirect_stdout(StringIO()), redirect_stderr(StringIO()):  # the parsers print what they cannot read
+            found = DecoderFactory().decoder_for(
+                channel.encoding, Schema(schema.id, schema.data, schema.encoding, schema.name)
+            )
     except Exception as error:  # a broken schema fails in many ways
         raise InputError(
             f"{place}: its schema {schema.name} cannot be read ({type(error).__name__}: {error})"

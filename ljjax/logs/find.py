@@ -14,8 +14,9 @@ from ljjax.logs import contract, records
 def find(args: Sequence[str | os.PathLike[str]] | str | os.PathLike[str]) -> list[Path]:
     """Files named by `args`, each once, in the order of the arguments (sorted within a folder or a glob).
 
-    A folder is searched, all the way down, for `*.mcap`; results of ljjax in it (`result.mcap`) are passed over, so that a
-    fit whose results lie beside the logs can be run again. Raises InputError where an argument names nothing.
+    A folder is searched, all the way down, for `*.mcap`; results of ljjax in it (`result.mcap`) are passed
+    over, so that a fit whose results lie beside the logs can be run again. Raises InputError where an
+    argument names nothing.
     """
     if isinstance(args, str | os.PathLike):
         args = [args]
@@ -37,9 +38,7 @@ def _one(arg: str) -> list[Path]:
     if not glob.has_magic(arg):
         raise InputError(f"{arg}: no such file or folder; expected an MCAP file, a folder of them, or a glob")
     hits = [Path(hit) for hit in sorted(glob.glob(arg, recursive=True))]
-    files = [
-        f for hit in hits for f in (_logs_in(hit) if hit.is_dir() else [hit] if not is_result(hit) else [])
-    ]
+    files = [f for hit in hits for f in (_logs_in(hit) if hit.is_dir() else [hit] if not is_result(hit) else [])]
     if not files:
         raise InputError(f"{arg}: matches no log; check the folder and the pattern")
     return files

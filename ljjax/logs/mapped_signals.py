@@ -39,8 +39,7 @@ def read(box: Container, mapping: Mapping, metadata: dict[str, str], notes: list
         "cmd_pressure": ("cmd_pressure",),
         "pressure": ("pressure",),
         "temperature": ("temperature",),
-        "shape": tuple(sorted((n for n in mapping.sources if n[0] == "q"), key=lambda n: int(n[1:])))
-        or ("theta",),
+        "shape": tuple(sorted((n for n in mapping.sources if n[0] == "q"), key=lambda n: int(n[1:]))) or ("theta",),
         "tip": TIP if "tip_qx" in mapping.sources else TIP[:3],
     }
     found = {}
@@ -78,9 +77,7 @@ def _single(
                 f"{mapping.path} wants {source.path} of it for {source.name}"
             ) from None
         values.append(source.si(raw))
-        times.append(
-            (message.publish_ns if source.time == "publish" else stamp, message.log_ns, message.publish_ns)
-        )
+        times.append((message.publish_ns if source.time == "publish" else stamp, message.log_ns, message.publish_ns))
     table = np.array(values, float)[:, None]
     if source.reference in ("vacuum", "gauge"):
         p_atm = _p_atm(path, mapping, source, metadata)
@@ -93,7 +90,7 @@ def _single(
 
 
 def _header_ns(decoded: Any) -> int:
-    """header.stamp of a ROS message, or the `header.stamp`, `stamp` or `timestamp` of JSON and protobuf. Raises NotThere."""
+    """header.stamp of a ROS message, or that, `stamp` or `timestamp` of JSON and protobuf. Raises NotThere."""
     for names in (("header", "stamp"), ("stamp",), ("timestamp",)):
         here = decoded
         try:
@@ -109,9 +106,12 @@ def _ns(stamp: Any) -> int:
     for seconds in ("sec", "secs", "seconds"):
         for fraction in ("nanosec", "nsec", "nsecs", "nanos"):
             try:
-                return int(member(stamp, seconds)) * 10**9 + int(member(stamp, fraction))
-            except (NotThere, TypeError, ValueError):
+                t_ns = int(member(stamp, seconds)) * 10**9 + int(member(stamp, fraction))
+            except (NotThere, TypeError, ValueError, OverflowError):
                 continue
+            if not 0 <= t_ns < 2**63:
+                raise NotThere(f"has the stamp {t_ns} ns, which is no time")
+            return t_ns
     raise NotThere("has a stamp without seconds and nanoseconds")
 
 
@@ -128,9 +128,7 @@ def _p_atm(path: str, mapping: Mapping, source: Source, metadata: dict[str, str]
     return value
 
 
-def _held(
-    signal: str, names: tuple[str, ...], have: list[Samples], mapping: Mapping, notes: list[str]
-) -> Samples:
+def _held(signal: str, names: tuple[str, ...], have: list[Samples], mapping: Mapping, notes: list[str]) -> Samples:
     """One signal of k columns at every stamp of any of them, each column held; from where all are known."""
     first = have[0]
     columns, unit = _columns(signal, names)

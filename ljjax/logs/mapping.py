@@ -21,7 +21,8 @@ REFERENCES = ("absolute", "vacuum", "gauge")
 
 QUANTITY = {
     "cmd_tendon_left": "force", "cmd_tendon_right": "force", "tendon_left": "force", "tendon_right": "force",
-    "spool_left": "length", "spool_right": "length", "cmd_pressure": "pressure", "pressure": "pressure", "theta": "angle",
+    "spool_left": "length", "spool_right": "length", "cmd_pressure": "pressure", "pressure": "pressure",
+    "theta": "angle",
     "tip_x": "length", "tip_y": "length", "tip_z": "length", "tip_qx": "number", "tip_qy": "number", "tip_qz": "number",
     "tip_qw": "number", "probe_position": "length", "probe_force": "force", "temperature": "temperature",
 }  # fmt: skip
@@ -36,8 +37,9 @@ def quantity_of(name: str) -> str | None:
 class Source:
     """Where one signal comes from, and how its numbers become SI.
 
-    A raw number r becomes sign · (scale · r + offset) in `unit`, and that becomes SI. Where `unit` is not one of the
-    signal's own quantity (mA for a tension, deg for a spool), scale is in SI per unit and offset in SI.
+    A raw number r becomes sign · (scale · r + offset) in `unit`, and that becomes SI. Where `unit` is not one
+    of the signal's own quantity (mA for a tension, deg for a spool), scale is in SI per unit and offset in
+    SI.
     """
 
     name: str
@@ -121,9 +123,7 @@ class _Reader:
         signals = self.table("", "signals", table.get("signals", {}))
         if not signals:
             raise self.fail("", "signals", "is empty; expected at least one, such as [signals.theta]")
-        sources = {
-            name: self.source(name, self.table("signals", name, entry)) for name, entry in signals.items()
-        }
+        sources = {name: self.source(name, self.table("signals", name, entry)) for name, entry in signals.items()}
         self.whole(sources)
         return Mapping(self.name, self.run(run), sources)
 
@@ -163,11 +163,9 @@ class _Reader:
         topic, path, unit = (self.text(section, table, key) for key in ("topic", "path", "unit"))
         own = units.UNITS[quantity]
         if unit not in units.known():
-            raise self.fail(
-                section, "unit", f"unknown unit {unit!r}; expected one of {', '.join(units.known())}"
-            )
+            raise self.fail(section, "unit", f"unknown unit {unit!r}; expected one of {', '.join(units.known())}")
         scale, offset, sign = (
-            self.number(section, table, key, d) for key, d in (("scale", 1), ("offset", 0), ("sign", 1))
+            self.number(section, table, key, d) for key, d in (("scale", 1.0), ("offset", 0.0), ("sign", 1.0))
         )
         if unit not in own and "scale" not in table:
             raise self.fail(

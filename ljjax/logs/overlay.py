@@ -11,7 +11,8 @@ from ljjax.errors import InputError
 from ljjax.logs import contract
 from ljjax.logs.container import Container, scan
 from ljjax.logs.run import Run, Signal
-from ljjax.logs.writer import Sink, packer
+from ljjax.logs.sink import Sink
+from ljjax.logs.writer import packer
 
 Extra = Mapping[str, Mapping[str, Signal]]
 _Row = tuple[int, int, int, bytes, int]  # log time, channel, publish time, message, sequence
@@ -20,15 +21,16 @@ _Row = tuple[int, int, int, bytes, int]  # log time, channel, publish time, mess
 def copy_overlay(runs: Sequence[Run], out_path: str | os.PathLike[str], extra: Sequence[Extra]) -> None:
     """Copy the runs' measured messages unchanged and put signals beside them.
 
-    Bytes, schemas, channels, sequence numbers and times of every `/real/*` message (and of what the runs read through a
-    mapping) stay as they are. Each extra signal is written in the contract's type under its prefix, with its own stamps `t`
-    (seconds since the run's `t0_ns`) in the header; log and publish times are the signal's own where it has them, else the
-    stamps. The file appears whole or not at all.
+    Bytes, schemas, channels, sequence numbers and times of every `/real/*` message (and of what the runs read
+    through a mapping) stay as they are. Each extra signal is written in the contract's type under its prefix,
+    with its own stamps `t` (seconds since the run's `t0_ns`) in the header; log and publish times are the
+    signal's own where it has them, else the stamps. The file appears whole or not at all.
 
     Args:
         runs: as `read` gave them; their files must still be there, unaltered.
         out_path: the MCAP file to write.
-        extra: for each run, prefix (`"/sim"`, `"/residual"`) → signal name → signal, in the units of `Run`. A residual of a
+        extra: for each run, prefix (`"/sim"`, `"/residual"`) → signal name → signal, in the units of `Run`. A
+            residual of a
             pressure is written as a difference, not as an absolute pressure.
 
     Raises InputError where a source changed since it was read, or where the file cannot be written.
@@ -43,9 +45,7 @@ def copy_overlay(runs: Sequence[Run], out_path: str | os.PathLike[str], extra: S
             box = _source(run)
             for name, pairs in box.metadata:
                 if name == contract.RUN_RECORD:
-                    sink.metadata(
-                        name, {k: v for k, v in pairs.items() if k != "sha256"}, seal="sha256" in pairs
-                    )
+                    sink.metadata(name, {k: v for k, v in pairs.items() if k != "sha256"}, seal="sha256" in pairs)
             rows = [*_copied(sink, box), *_added(sink, run, added)]
             for log_ns, channel, publish_ns, data, sequence in sorted(rows, key=lambda row: row[0]):
                 sink.message(channel, log_ns, publish_ns, data, sequence)

@@ -5,13 +5,11 @@ from __future__ import annotations
 import re
 from typing import Any, NamedTuple
 
-_PIECE = re.compile(
-    r"(?P<attribute>[A-Za-z_]\w*)|\[(?P<index>\d+)\]|\[(?P<list>[A-Za-z_]\w*)=(?P<value>[^\]]+)\]"
-)
+_PIECE = re.compile(r"(?P<attribute>[A-Za-z_]\w*)|\[(?P<index>\d+)\]|\[(?P<list>[A-Za-z_]\w*)=(?P<value>[^\]]+)\]")
 
 
 class Step(NamedTuple):
-    """One step: an attribute, an index, or the place of `value` in the sibling list `key` (or in the items' own field)."""
+    """One step: an attribute, an index, or where the sibling list `key` (or the items' own field) says `value`."""
 
     kind: str
     key: str
@@ -72,7 +70,10 @@ def number_at(message: Any, steps: tuple[Step, ...]) -> float:
             parent, here = here, _named(parent, here, step)
     if isinstance(here, bool) or not isinstance(here, int | float):
         raise NotThere(f"is {type(here).__name__} where a number is expected")
-    return float(here)
+    try:
+        return float(here)
+    except OverflowError:
+        raise NotThere("is a number too large for anything") from None
 
 
 def _item(sequence: Any, index: int) -> Any:
@@ -83,7 +84,7 @@ def _item(sequence: Any, index: int) -> Any:
 
 
 def _named(parent: Any, here: Any, step: Step) -> Any:
-    """`effort[name=left]`: where `name`, beside `effort`, says `left`; or the item of a list whose own `name` is `left`."""
+    """`effort[name=left]`: where `name`, beside `effort`, says `left`; or the item whose own `name` is `left`."""
     try:
         labels = [str(label) for label in member(parent, step.key)]
     except (NotThere, TypeError):

@@ -26,8 +26,8 @@ def read(path: PathLike, mapping: Mapping | PathLike | None = None, *, prefix: s
         mapping: how to read a log that does not follow the contract; then only what it names is read.
         prefix: `/real`, or `/sim` and `/residual` in a result. Ignored with a mapping.
 
-    Raises InputError where there is no such file, it is no MCAP file, it follows another contract, a used value is not
-    finite, or no signal is left.
+    Raises InputError where there is no such file, it is no MCAP file, it follows another contract, a used
+    value is not finite, or no signal is left.
     """
     if mapping is not None and not isinstance(mapping, Mapping):
         mapping = load_mapping(mapping)
@@ -65,9 +65,7 @@ def read_all(paths: Sequence[PathLike], mapping: Mapping | PathLike | None = Non
     """Several logs, sorted by robot and then by start: runs of one robot are in the order in which they were made."""
     if mapping is not None and not isinstance(mapping, Mapping):
         mapping = load_mapping(mapping)
-    return sorted(
-        (read(path, mapping) for path in paths), key=lambda run: (run.robot_id, started_ns(run), run.path)
-    )
+    return sorted((read(path, mapping) for path in paths), key=lambda run: (run.robot_id, started_ns(run), run.path))
 
 
 def started_ns(run: Run) -> int:
@@ -95,7 +93,8 @@ def _metadata(box: Container, mapping: Mapping | None, notes: list[str]) -> dict
     result = box.record(contract.RESULT_RECORD)
     if result is not None and result.get("runs", "1") != "1":
         raise InputError(
-            f"{box.path}: is a result that overlays {result['runs']} runs, not the log of one run; give the logs it was made from"
+            f"{box.path}: is a result that overlays {result['runs']} runs, not the log of one run; give the logs it "
+            "was made from"
         )
     record = box.record(contract.RUN_RECORD)
     found = {k: v for k, v in (record or {}).items() if k != "sha256"}
@@ -110,8 +109,8 @@ def _metadata(box: Container, mapping: Mapping | None, notes: list[str]) -> dict
     if version != contract.VERSION:
         stated = "none" if version is None else repr(version)
         raise InputError(
-            f"{box.path}: metadata {contract.RUN_RECORD}: contract_version is {stated}, expected {contract.VERSION!r}; read "
-            "other people's logs with a mapping file (docs/logs.md)"
+            f"{box.path}: metadata {contract.RUN_RECORD}: contract_version is {stated}, expected "
+            f"{contract.VERSION!r}; read other people's logs with a mapping file (docs/logs.md)"
         )
     if "end_reason" not in found:
         notes.append("the run was cut short: its metadata has no end_reason")
@@ -123,11 +122,11 @@ def _metadata(box: Container, mapping: Mapping | None, notes: list[str]) -> dict
 
 def _nothing(box: Container, mapping: Mapping | None, prefix: str) -> str:
     if box.damage is not None:
-        return f"{box.path}: no usable signal before {box.damage.where}: {box.damage.why}; take an undamaged copy of the file"
+        return f"{box.path}: no usable signal before {box.damage.where}: {box.damage.why}; take an undamaged copy"
     has = ", ".join(sorted(box.topics())) or "none"
     if mapping is not None:
         return f"{box.path}: none of the topics in {mapping.path} has a message; the log has {has}"
     return (
-        f"{box.path}: no usable signal: no message on a topic of the contract such as {prefix}/shape; the log has {has}; read "
-        "other people's logs with a mapping file (docs/logs.md)"
+        f"{box.path}: no usable signal: no message on a topic of the contract such as {prefix}/shape; the log has "
+        f"{has}; read other people's logs with a mapping file (docs/logs.md)"
     )

@@ -9,7 +9,7 @@ import hashlib
 import json
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -115,12 +115,20 @@ def channel(data: bytes) -> Channel:
 
 
 def message(data: bytes) -> Message:
-    if len(data) < _MESSAGE.size:
-        raise Malformed("a message ends too early")
-    channel_id, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(data)
-    if log_ns >> 63 or publish_ns >> 63:
-        raise Malformed("a message has a time beyond the year 2262")
-    return Message(channel_id, sequence, log_ns, publish_ns, data[_MESSAGE.size :])
+    return messages([data])[0]
+
+
+def messages(contents: Sequence[bytes]) -> list[Message]:
+    """Many at once, since a log has many."""
+    found = []
+    for data in contents:
+        if len(data) < _MESSAGE.size:
+            raise Malformed("a message ends too early")
+        channel_id, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(data)
+        if log_ns >> 63 or publish_ns >> 63:
+            raise Malformed("a message has a time beyond the year 2262")
+        found.append(Message(channel_id, sequence, log_ns, publish_ns, data[_MESSAGE.size :]))
+    return found
 
 
 def chunk(data: bytes) -> Chunk:

@@ -116,14 +116,10 @@ class Run:
         for name in names:
             if name in self.signals:
                 return self.signals[name]
-        raise InputError(
-            f"{self.path}: no signal {' or '.join(names)}; it has {', '.join(self.signals) or 'none'}"
-        )
+        raise InputError(f"{self.path}: no signal {' or '.join(names)}; it has {', '.join(self.signals) or 'none'}")
 
     def vacuum_kpa(self, *names: str) -> Signal:
         """Pressure as the model takes it, u_P = (p_atm − p)/1000 [kPa], from the first of `names` there is."""
         s = self.signal(*(names or ("pressure", "cmd_pressure")))
         sd = None if s.sd is None else s.sd / 1e3
-        return Signal(
-            s.t, (self.p_atm_pa - s.value) / 1e3, s.columns, "kPa", s.topic, sd, s.log_t, s.publish_t
-        )
+        return Signal(s.t, (self.p_atm_pa - s.value) / 1e3, s.columns, "kPa", s.topic, sd, s.log_t, s.publish_t)

@@ -1,4 +1,4 @@
-"""Samples of one signal as they come out of a log, and what makes them a `Signal`: finite, in order, on one time axis."""
+"""Samples of one signal as a log has them, and what makes them a `Signal`: finite, in order, on one time axis."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Samples:
                        value=self.value[index], sd=sd)  # fmt: skip
 
 
-def stamp_text(t_ns: int) -> str:
+def stamp_text(t_ns: int | np.integer) -> str:
     """A time as seconds with nine decimals, exact."""
     return f"{int(t_ns) // 10**9}.{int(t_ns) % 10**9:09d} s"
 
@@ -53,9 +53,9 @@ def check_finite(s: Samples, path: str) -> None:
         if table is not None and bad is not None and bad.any():
             row, column = (int(i) for i in np.argwhere(bad)[0])
             raise InputError(
-                f"{path}: {s.topic}: sample {row} (stamp {stamp_text(s.t_ns[row])}): the {what} of {s.columns[column]} is "
-                f"{table[row, column]} ({int(bad.any(axis=1).sum())} such samples of {len(s)}); expected a finite number; "
-                "leave such samples out when recording"
+                f"{path}: {s.topic}: sample {row} (stamp {stamp_text(s.t_ns[row])}): the {what} of "
+                f"{s.columns[column]} is {table[row, column]} ({int(bad.any(axis=1).sum())} such samples of "
+                f"{len(s)}); expected a finite number; leave such samples out when recording"
             )
 
 
@@ -63,7 +63,8 @@ def check_clock(s: Samples, path: str) -> None:
     """Raises InputError where the stamps were never set."""
     if len(s) > 1 and not s.t_ns.any():
         raise InputError(
-            f"{path}: {s.topic}: every header.stamp is 0, so the samples have no time; let the publisher set the stamp, or read "
+            f"{path}: {s.topic}: every header.stamp is 0, so the samples have no time; let the publisher set the "
+            "stamp, or read "
             'the log with a mapping that says time = "log" for this topic'
         )
 
@@ -103,7 +104,7 @@ def as_signals(samples: dict[str, Samples]) -> tuple[int, dict[str, Signal]]:
 
 
 def with_sd(s: Samples, sd: Samples, path: str, notes: list[str]) -> Samples:
-    """`s` with the standard deviations that `sd` states for the same stamps; the k-th of equal stamps takes the k-th."""
+    """`s` with the standard deviations that `sd` states for its stamps; of equal stamps the k-th takes the k-th."""
     if sd.columns != s.columns:
         raise InputError(
             f"{path}: {sd.topic}: names {', '.join(sd.columns)}, expected those of {s.topic}: {', '.join(s.columns)}"
@@ -121,7 +122,5 @@ def with_sd(s: Samples, sd: Samples, path: str, notes: list[str]) -> Samples:
         notes.append(f"{sd.topic}: none of its stamps is one of {s.topic}; left out")
         return s
     if missing:
-        notes.append(
-            f"{sd.topic}: {missing} of {len(s)} samples of {s.topic} have no standard deviation (NaN)"
-        )
+        notes.append(f"{sd.topic}: {missing} of {len(s)} samples of {s.topic} have no standard deviation (NaN)")
     return replace(s, sd=out)

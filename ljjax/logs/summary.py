@@ -33,9 +33,7 @@ def check(walk: Walk) -> None:
             elif opcode == records.METADATA_INDEX:
                 listed.add(records.metadata_index(content))
             elif opcode in (records.SCHEMA, records.CHANNEL):
-                repeated.append(
-                    records.schema(content) if opcode == records.SCHEMA else records.channel(content)
-                )
+                repeated.append(records.schema(content) if opcode == records.SCHEMA else records.channel(content))
             elif opcode < records.PRIVATE and not records.SCHEMA <= opcode <= records.SUMMARY_OFFSET:
                 raise Malformed(f"a record of the unknown kind {opcode}")
         except Malformed as error:
@@ -78,11 +76,7 @@ def _compare(
                          f"{walk.n_chunks} and {walk.n_metadata}")  # fmt: skip
     for channel_id, count in counts.items():
         if count != walk.out.counts[channel_id]:
-            topic = (
-                walk.out.channels[channel_id].topic
-                if channel_id in walk.out.channels
-                else f"channel {channel_id}"
-            )
+            topic = walk.out.channels[channel_id].topic if channel_id in walk.out.channels else f"channel {channel_id}"
             walk.damaged(
                 at,
                 f"the index counts {count} messages of {topic}, but there are {walk.out.counts[channel_id]}",

@@ -4,103 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from ljjax.errors import InputError
-from ljjax.logs import cdr, contract, records
+from ljjax.logs import cdr, contract
+from ljjax.logs.sink import Sink
 
-CHUNK_BYTES = 64 * 1024
-FLUSH_NS = 1_000_000_000
+Numbers = Sequence[float | int] | np.ndarray
 _REQUIRED = ("run_id", "robot_id", "experiment", "p_atm_pa", "start_utc")
-_NO_METADATA: dict[str, str] = {}
-
-
-class Sink:
-    """An MCAP file being written: schemas and channels on first use, messages in small chunks with checksums.
-
-    The bytes depend on nothing but what is written. A chunk is closed, and handed to the operating system, when it is full
-    or when a second of log time has passed since the last.
-    """
-
-    def __init__(self, path: str | os.PathLike[str], library: str):
-        from mcap.writer import CompressionType
-        from mcap.writer import Writer as McapWriter
-
-        self.path = os.fspath(path)
-        try:
-            self._file = Path(path).open("wb")
-        except OSError as error:
-            raise InputError(f"{self.path}: cannot be written ({error.strerror or error})") from None
-        self._mcap = McapWriter(
-            self._file,
-            chunk_size=CHUNK_BYTES,
-            compression=CompressionType.ZSTD,
-            enable_crcs=True,
-            enable_data_crcs=True,
-        )
-        self._mcap.start(profile="ros2", library=library)
-        self._schemas: dict[tuple[str, str, bytes], int] = {}
-        self._channels: dict[tuple, int] = {}
-        self._flushed_ns: int | None = None
-
-    def channel(self, topic: str, type_name: str, encoding: str, text: bytes, message_encoding: str = "cdr",
-                metadata: Mapping[str, str] = _NO_METADATA) -> int:  # fmt: skip
-        """The id of a channel, made on first use."""
-        schema_key = (type_name, encoding, text)
-        if schema_key not in self._schemas:
-            self._schemas[schema_key] = self._mcap.register_schema(type_name, encoding, text)
-        return self._channel((topic, self._schemas[schema_key], message_encoding, tuple(metadata.items())))
-
-    def channel_without_schema(
-        self, topic: str, message_encoding: str, metadata: Mapping[str, str] = _NO_METADATA
-    ) -> int:
-        return self._channel((topic, 0, message_encoding, tuple(metadata.items())))
-
-    def _channel(self, key: tuple) -> int:
-        if key not in self._channels:
-            topic, schema_id, message_encoding, metadata = key
-            self._channels[key] = self._mcap.register_channel(
-                topic, message_encoding, schema_id, dict(metadata)
-            )
-        return self._channels[key]
-
-    def contract_channel(self, topic: str, type_name: str) -> int:
-        return self.channel(topic, type_name, "ros2msg", contract.SCHEMAS[type_name].encode())
-
-    def message(self, channel_id: int, log_ns: int, publish_ns: int, data: bytes, sequence: int = 0) -> None:
-        self._mcap.add_message(channel_id, log_ns, data, publish_ns, sequence)
-        if self._flushed_ns is None:
-            self._flushed_ns = log_ns
-        elif log_ns - self._flushed_ns >= FLUSH_NS:
-            self.flush()
-            self._flushed_ns = log_ns
-
-    def metadata(self, name: str, pairs: Mapping[str, str], seal: bool = True) -> None:
-        """A metadata record; sealed, it also states its own sha256."""
-        record = dict(pairs)
-        if seal:
-            record["sha256"] = records.own_sha256(record)
-        self._mcap.add_metadata(name, record)
-        self._file.flush()
-
-    def attachment(self, t_ns: int, name: str, media_type: str, data: bytes) -> None:
-        self._mcap.add_attachment(t_ns, t_ns, name, media_type, data)
-
-    def flush(self) -> None:
-        """Close the chunk and hand everything to the operating system."""
-        self._mcap.flush()
-
-    def close(self) -> None:
-        if not self._file.closed:
-            self._mcap.finish()
-            self._file.close()
-
-    def abandon(self) -> None:
-        """Close the file without finishing it."""
-        self._file.close()
 
 
 class Writer:
@@ -111,17 +24,18 @@ class Writer:
             log.write("cmd_tendons", t_ns, [1.0, 0.5])
             log.write("shape", t_ns, [0.01, 0.02], columns=("q1", "q2"))
 
-    Metadata `ljjax.run` is written first without `end_reason` and again, whole, at the end: `end_reason` is `completed`, or
-    `error: …` where the block raised. Values are refused (InputError) where they are not finite or not of the signal's shape;
-    times may come in any order.
+    Metadata `ljjax.run` is written first without `end_reason` and again, whole, at the end: `end_reason` is
+    `completed`, or `error: …` where the block raised. Values are refused (InputError) where they are not
+    finite or not of the signal's shape; times may come in any order.
 
     Args:
         path: written directly, so that a crash leaves what was written; an existing file is replaced.
-        metadata: run_id, robot_id, experiment, p_atm_pa, start_utc, and law_sha256, software_version where known.
+        metadata: run_id, robot_id, experiment, p_atm_pa, start_utc, and law_sha256, software_version where
+            known.
         library: what the file says it was written by.
     """
 
-    def __init__(self, path: str | os.PathLike[str], metadata: Mapping[str, str], *, library: str = "ljjax"):
+    def __init__(self, path: str | os.PathLike[str], metadata: Mapping[str, object], *, library: str = "ljjax"):
         self.path = os.fspath(path)
         self._metadata = self._checked(metadata)
         self._sink = Sink(path, library)
@@ -133,36 +47,35 @@ class Writer:
         self._last_ns = 0
         self.closed = False
 
-    def _checked(self, metadata: Mapping[str, str]) -> dict[str, str]:
-        found = {"contract_version": contract.VERSION, **metadata}
-        found.setdefault("law_sha256", "")
-        found.setdefault("software_version", _version())
-        for key, value in found.items():
+    def _checked(self, metadata: Mapping[str, object]) -> dict[str, str]:
+        stated = {
+            "contract_version": contract.VERSION,
+            "law_sha256": "",
+            "software_version": _version(),
+            **metadata,
+        }
+        found: dict[str, str] = {}
+        for key, value in stated.items():
             if not isinstance(value, str):
                 raise InputError(f"{self.path}: metadata {key} is {value!r}, expected a string")
+            found[key] = value
         for key in _REQUIRED:
             if not found.get(key):
-                raise InputError(
-                    f"{self.path}: metadata {key} is missing; a log needs {', '.join(_REQUIRED)}"
-                )
+                raise InputError(f"{self.path}: metadata {key} is missing; a log needs {', '.join(_REQUIRED)}")
         for key in ("end_reason", "sha256"):
             if key in found:
-                raise InputError(
-                    f"{self.path}: metadata {key} is the writer's own; leave it out (close() takes end_reason)"
-                )
+                raise InputError(f"{self.path}: metadata {key} is the writer's own (close() takes end_reason)")
         if found["contract_version"] != contract.VERSION:
-            raise InputError(
-                f"{self.path}: metadata contract_version is {found['contract_version']!r}, expected '1'"
-            )
+            raise InputError(f"{self.path}: contract_version is {found['contract_version']!r}, expected '1'")
         return found
 
     def write(
         self,
         signal: str,
         t_ns: int,
-        value: Sequence[float] | np.ndarray,
+        value: Numbers,
         *,
-        sd: Sequence[float] | np.ndarray | None = None,
+        sd: Numbers | None = None,
         columns: Sequence[str] | None = None,
         prefix: str = "/real",
         log_ns: int | None = None,
@@ -171,17 +84,22 @@ class Writer:
         """One sample, by signal name, in the units of `Run`.
 
         Args:
-            signal: `cmd_tendons`, `tendons`, `cmd_pressure`, `pressure`, `shape`, `tip`, `probe` or `temperature`. `tendons`
+            signal: `cmd_tendons`, `tendons`, `cmd_pressure`, `pressure`, `shape`, `tip`, `probe` or
+                `temperature`. `tendons`
                 takes two tensions, or four numbers: two tensions, then the spool travel [m].
             t_ns: header stamp in ns.
-            sd: standard deviations of the numbers, on `<topic>/sd` (for pressures and temperatures: the message's variance).
-            columns: for a shape, `("theta",)` or `("q1", …)`; by default theta for one number, q1 … qn for several.
+            sd: standard deviations of the numbers, on `<topic>/sd` (for pressures and temperatures: the
+                message's variance).
+            columns: for a shape, `("theta",)` or `("q1", …)`; by default theta for one number, q1 … qn for
+                several.
             prefix: `/real`, `/sim` or `/residual`.
             log_ns, publish_ns: the other clocks; by default t_ns.
 
         Raises InputError.
         """
         topic, kind, pack = self._form(signal, value, columns, prefix)
+        if sd is not None and np.size(sd) != np.size(value):
+            raise InputError(f"{self.path}: {topic}: {np.size(sd)} standard deviations for {np.size(value)} values")
         data, sd_data = pack(
             t_ns,
             self._numbers(topic, t_ns, value),
@@ -201,9 +119,7 @@ class Writer:
         if entry.signal == "shape":
             columns = self._shape_columns(topic, size, columns)
         sizes = (
-            (2, 4)
-            if signal == "tendons"
-            else (len(columns) if columns and signal == "shape" else len(entry.columns),)
+            (2, 4) if signal == "tendons" else (len(columns) if columns and signal == "shape" else len(entry.columns),)
         )
         if size not in sizes or np.ndim(value) > 1:
             raise InputError(
@@ -216,9 +132,7 @@ class Writer:
         default = ("theta",) if size == 1 else tuple(f"q{i + 1}" for i in range(size))
         names = tuple(columns) if columns is not None else self._columns.get(topic, default)
         if names != ("theta",) and names != tuple(f"q{i + 1}" for i in range(len(names))):
-            raise InputError(
-                f"{self.path}: {topic}: columns {', '.join(names) or 'none'}, expected theta or q1 … qn"
-            )
+            raise InputError(f"{self.path}: {topic}: columns {', '.join(names) or 'none'}, expected theta or q1 … qn")
         if self._columns.setdefault(topic, names) != names:
             raise InputError(
                 f"{self.path}: {topic}: columns {', '.join(names)}, earlier {', '.join(self._columns[topic])}"
@@ -240,9 +154,7 @@ class Writer:
         self, t_ns: int, statuses: Sequence[tuple[int, str, str, Mapping[str, str]]], *, prefix: str = "/real"
     ) -> None:
         """A DiagnosticArray of (level, name, message, values); levels are 0 OK, 1 WARN, 2 ERROR, 3 STALE."""
-        rows = [
-            (level, name, message, "", tuple(values.items())) for level, name, message, values in statuses
-        ]
+        rows = [(level, name, message, "", tuple(values.items())) for level, name, message, values in statuses]
         data = cdr.diagnostic_array(t_ns, rows)
         self._message(prefix + contract.DIAGNOSTICS_TOPIC, contract.DIAGNOSTIC_ARRAY, t_ns, data, None, None)
 
@@ -294,7 +206,7 @@ class Writer:
             self._sink.metadata(contract.RUN_RECORD, {**self._metadata, "end_reason": end_reason})
             self._sink.close()
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> Writer:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:

@@ -1,0 +1,216 @@
+"""From logs to steady operating points and probe stiffness: what statics can be identified from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ljjax.errors import InputError
+from ljjax.logs import Run, Signal
+
+LEVEL_GAP_KPA = 0.5
+"""Pressures closer than this count as one level: regulators and gauges are not finer."""
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Measured points at rest.
+
+    Attributes:
+        kind: `"steady"` (value = net tension u₁ − u₂ [N] that holds θ) or `"probe"` (value = tip stiffness [N/m]).
+        value, sd: (N,) the measured quantity and its stated standard deviation (NaN where none is stated).
+        pressure_kpa: (N,) vacuum u_P.
+        theta: (N,) mean segment angle [rad] (0 for probes where no shape is logged).
+        t: (N,) seconds since the run's start.
+        run: (N,) index of the run in the list the points came from.
+        hold: (N,) whether the point is a hold found in a moving run, which carries the friction left at rest.
+    """
+
+    kind: str
+    value: np.ndarray
+    sd: np.ndarray
+    pressure_kpa: np.ndarray
+    theta: np.ndarray
+    t: np.ndarray
+    run: np.ndarray
+    hold: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.value)
+
+    def take(self, keep: np.ndarray) -> Points:
+        """The points where the mask (or the indices) `keep` says so."""
+        return Points(self.kind, *(getattr(self, name)[keep] for name in _COLUMNS))
+
+    @property
+    def levels(self) -> np.ndarray:
+        """(N,) index of each point's pressure level, in rising order."""
+        order = np.argsort(self.pressure_kpa, kind="stable")
+        steps = np.diff(self.pressure_kpa[order]) > LEVEL_GAP_KPA
+        level = np.empty(len(self), int)
+        level[order] = np.concatenate([[0], np.cumsum(steps)]) if len(self) else []
+        return level
+
+    def level_pressures(self) -> np.ndarray:
+        """(L,) mean pressure of each level [kPa]."""
+        levels = self.levels
+        return np.array([self.pressure_kpa[levels == k].mean() for k in range(levels.max(initial=-1) + 1)])
+
+
+_COLUMNS = ("value", "sd", "pressure_kpa", "theta", "t", "run", "hold")
+UNIT = {"steady": "N", "probe": "N/m"}
+
+
+def collect(runs: Sequence[Run]) -> tuple[Points, Points, list[str]]:
+    """Steady and probe points of all runs, and a line for every run about what it gave.
+
+    Raises:
+        InputError: no run gives any point; each run is named with the reason.
+    """
+    steady, probe, said = [], [], []
+    for index, run in enumerate(runs):
+        try:
+            found, how = points_of(run)
+        except InputError as error:
+            said.append(f"left out: {error}")
+            continue
+        for points in found:
+            points.run[:] = index
+            (steady if points.kind == "steady" else probe).append(points)
+        said.append(f"{run.path}: {how}")
+    if not steady and not probe:
+        raise InputError("no usable signal in any log: " + "; ".join(s.removeprefix("left out: ") for s in said))
+    return _join("steady", steady), _join("probe", probe), said
+
+
+def _join(kind: str, parts: Iterable[Points]) -> Points:
+    parts = list(parts)
+    columns = (np.concatenate([getattr(p, c) for p in parts]) if parts else np.empty(0) for c in _COLUMNS)
+    value, sd, pressure, theta, t, run, hold = columns
+    return Points(kind, value, sd, pressure, theta, t, run.astype(int), hold.astype(bool))
+
+
+def points_of(run: Run) -> tuple[list[Points], str]:
+    """The points one run gives, and in words how they were found.
+
+    A run whose `experiment` starts with "steady" has an operating point in every sample of its shape; in any other
+    run an operating point is a hold: commands (or, without them, measured inputs) constant and the shape at rest. A
+    run with a probe gives stiffness: every sample a press where `experiment` starts with "probe" and presses are
+    single samples, otherwise the slope of force over position in every press.
+
+    Raises:
+        InputError: the run has nothing to say about statics, with the reason.
+    """
+    found, how = [], []
+    if "probe" in run.signals:
+        points = _presses(run)
+        found.append(points)
+        how.append(f"{len(points)} probe stiffness measurements")
+    if "shape" in run.signals and ("tendons" in run.signals or "cmd_tendons" in run.signals):
+        declared = run.experiment.lower().startswith("steady")
+        points = _samples(run) if declared else _holds(run)
+        if len(points):
+            found.append(points)
+            how.append(f"{len(points)} {'steady operating points' if declared else 'holds at rest'}")
+    if not found:
+        needed = "a shape with tensions and pressure, at rest, or a probe with pressure"
+        raise InputError(
+            f"{run.path}: nothing at rest to fit; expected {needed}; it has {', '.join(run.signals) or 'no signals'}"
+        )
+    return found, ", ".join(how)
+
+
+def _column(s: Signal, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """u₁ − u₂ at the given times and its standard deviation, if stated."""
+    value = s.held_at(at)
+    sd = np.full(len(at), np.nan)
+    if s.sd is not None:
+        index = np.clip(np.searchsorted(s.t, at, side="right") - 1, 0, len(s.t) - 1)
+        sd = np.hypot(s.sd[index, 0], s.sd[index, 1])
+    return value[:, 0] - value[:, 1], sd
+
+
+def _samples(run: Run) -> Points:
+    shape = run.signal("shape")
+    value, sd = _column(run.signal("tendons", "cmd_tendons"), shape.t)
+    pressure = run.vacuum_kpa("pressure", "cmd_pressure").held_at(shape.t)[:, 0]
+    none = np.zeros(len(shape), int)
+    return Points("steady", value, sd, pressure, shape.value.mean(axis=1), shape.t, none, none.astype(bool))
+
+
+def _holds(run: Run, minimum_s: float = 0.8) -> Points:
+    """One point for every stretch of constant inputs whose second half shows no drift beyond the shape's noise."""
+    shape = run.signal("shape")
+    theta = shape.value.mean(axis=1)
+    inputs = [run.signal("cmd_tendons", "tendons"), run.signal("cmd_pressure", "pressure")]
+    changes = [s.t[1:][np.any(_moved(s), axis=1)] for s in inputs]
+    edges = np.unique(np.concatenate([shape.t[:1], *changes, shape.t[-1:]]))
+    noise = np.std(np.diff(theta)) / np.sqrt(2) if len(theta) > 2 else 0.0
+    rows = []
+    for start, end in zip(edges[:-1], edges[1:], strict=True):
+        late = (shape.t >= start + (end - start) / 2) & (shape.t < end)
+        if end - start < minimum_s or late.sum() < 5:
+            continue
+        t, y = shape.t[late], theta[late]
+        drift = np.polyfit(t - t[0], y, 1)[0] * (t[-1] - t[0])
+        if abs(drift) > 3 * noise + np.radians(0.02):
+            continue
+        tension, pressure = run.signal("tendons", "cmd_tendons"), run.vacuum_kpa("pressure", "cmd_pressure")
+        u, _ = _column(tension, t)
+        rows.append((u.mean(), np.nan, pressure.held_at(t)[:, 0].mean(), y.mean(), t.mean(), 0))
+    value, sd, p, angle, at, index = np.array(rows, float).reshape(-1, 6).T
+    return Points("steady", value, sd, p, angle, at, index.astype(int), np.ones(len(rows), bool))
+
+
+def _moved(s: Signal) -> np.ndarray:
+    """(N−1, k) whether a sample differs from the one before it by more than the signal's own noise."""
+    step = np.abs(np.diff(s.value, axis=0))
+    return step > 6 * np.median(step, axis=0)
+
+
+def _presses(run: Run) -> Points:
+    probe = run.signal("probe")
+    position, force = probe.column("position"), probe.column("force")
+    pressure = run.vacuum_kpa("pressure", "cmd_pressure")
+    theta = run.signals["shape"].value.mean(axis=1) if "shape" in run.signals else np.zeros(1)
+    angle_t = run.signals["shape"].t if "shape" in run.signals else np.zeros(1)
+    rows = []
+    if _single_samples(run, position):
+        sd = np.full(len(probe), np.nan) if probe.sd is None else probe.sd[:, 1] / np.abs(position)
+        for t, x, f, s in zip(probe.t, position, force, sd, strict=True):
+            rows.append((f / x, s, pressure.held_at(np.array([t]))[0, 0], np.interp(t, angle_t, theta), t, 0))
+    else:
+        for part in _rising_parts(position):
+            x, f, t = position[part], force[part], probe.t[part]
+            (slope, _), covariance = np.polyfit(x, f, 1, cov="unscaled")
+            scatter = np.std(f - np.polyval(np.polyfit(x, f, 1), x))
+            p = pressure.held_at(t)[:, 0].mean()
+            sd = scatter * np.sqrt(covariance[0, 0])
+            rows.append((slope, sd, p, np.interp(t.mean(), angle_t, theta), t.mean(), 0))
+    if not rows:
+        raise InputError(
+            f"{run.path}: {probe.topic}: no press found: position never rises over 5 samples or more; "
+            "log single presses with experiment = 'probe …', or the push itself"
+        )
+    value, sd, p, angle, at, index = np.array(rows, float).T
+    return Points("probe", value, sd, p, angle, at, index.astype(int), np.zeros(len(rows), bool))
+
+
+def _single_samples(run: Run, position: np.ndarray) -> bool:
+    return run.experiment.lower().startswith("probe") and bool(np.all(position != 0)) and np.ptp(position) == 0
+
+
+def _rising_parts(position: np.ndarray) -> list[slice]:
+    """Stretches over which the probe pushes further in: from 10 % to 100 % of each rise of the position."""
+    smooth = np.convolve(np.pad(position, 2, mode="edge"), np.ones(5) / 5, mode="valid")
+    rising = np.diff(smooth) > 0.02 * np.abs(np.diff(smooth)).max(initial=0.0)
+    edges = np.flatnonzero(np.diff(np.r_[0, rising.astype(int), 0]))
+    span = np.ptp(position)
+    parts = []
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - start >= 5 and smooth[end] - smooth[start] > 0.2 * span:
+            begin = start + int(np.searchsorted(smooth[start:end], smooth[start] + 0.1 * (smooth[end] - smooth[start])))
+            parts.append(slice(begin, end + 1))
+    return parts

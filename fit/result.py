@@ -1,0 +1,338 @@
+"""What a fit found, as one value that knows how to save itself: fit.json, model.toml, report.html, result.mcap."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from ljjax import modelfile
+from ljjax.fit.paper import paper_units
+from ljjax.fit.points import UNIT, Points
+from ljjax.fit.static import Stage, StaticFit
+from ljjax.logs import Run, Signal, copy_overlay
+from ljjax.model import UNITS, get
+from ljjax.modelfile import ModelFile
+from ljjax.outputs import artefacts
+
+SCHEMA = "ljjax.fit/1"
+UNSTABLE = 3.0
+"""A parameter whose deviation over left-out pressure levels is this many times its standard deviation is flagged."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter as reported.
+
+    Attributes:
+        value, sd, ci95: in `unit`; sd and ci95 None where not fitted or held by a bound.
+        sd_over_pressures: from leaving each pressure level out; None where there are too few levels.
+        verdict: `identifiable`, `not identifiable`, `at bound`, `frozen` or `assumed`.
+        reason: why, in words.
+        source: `steady`, `probe` or `model`.
+    """
+
+    name: str
+    value: float
+    unit: str
+    sd: float | None
+    ci95: tuple[float, float] | None
+    sd_over_pressures: float | None
+    verdict: str
+    reason: str
+    source: str
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """The identified robot and the evidence.
+
+    Attributes:
+        static: the regressions.
+        start: the model file the fit began from; `start_from` says where that came from.
+        runs: the logs used, `said` what each gave.
+        options: what was asked for (weights, constraints, frozen, seed).
+    """
+
+    static: StaticFit
+    start: ModelFile
+    start_from: str
+    runs: Sequence[Run]
+    said: Sequence[str]
+    options: Mapping[str, Any]
+
+    @property
+    def model(self):
+        return self.static.model
+
+    @cached_property
+    def parameters(self) -> dict[str, Parameter]:
+        """Every parameter of the model, by path."""
+        return {name: self._parameter(name) for name in UNITS}
+
+    def _parameter(self, name: str) -> Parameter:
+        value = float(get(self.model, name))
+        for kind, stage in self.static.stages.items():
+            if name in stage.names:
+                return self._fitted(name, value, kind, stage)
+        frozen = name in self.options["frozen"]
+        reason = "held at the given model's value" if frozen else f"taken from {self.start_from}; not fitted here"
+        return Parameter(name, value, UNITS[name], None, None, None, "frozen" if frozen else "assumed", reason, "model")
+
+    def _fitted(self, name: str, value: float, kind: str, stage: Stage) -> Parameter:
+        i = stage.names.index(name)
+        jackknife = _finite(stage.jackknife_sd[i])
+        if stage.solution.at_bound[i]:
+            return Parameter(
+                name,
+                value,
+                UNITS[name],
+                None,
+                None,
+                jackknife,
+                "at bound",
+                "the data pull it past its bound",
+                kind,
+            )
+        sd = self.static.sd(name)
+        t = float(stats.t.ppf(0.975, stage.solution.degrees_of_freedom))
+        ci = (value - t * sd, value + t * sd)
+        if ci[0] <= 0 <= ci[1]:
+            verdict, reason = "not identifiable", "its 95 % interval holds 0: " + self._confounded(name)
+        else:
+            verdict, reason = (
+                "identifiable",
+                f"known to {100 * sd / abs(value):.2g} % (1 sd) if the model's form holds",
+            )
+        return Parameter(name, value, UNITS[name], sd, ci, jackknife, verdict, reason, kind)
+
+    def _confounded(self, name: str) -> str:
+        names, correlation = self.correlation
+        i = names.index(name)
+        others = [
+            (abs(r), other, r)
+            for other, r in zip(names, correlation[i], strict=True)
+            if other != name and np.isfinite(r)
+        ]
+        if others and max(others)[0] > 0.8:
+            _, other, r = max(others)
+            return f"these data cannot part it from {other} (correlation {r:+.2f}); freeze it, or add data that can"
+        return "its effect on these data is below their scatter"
+
+    @property
+    def correlation(self) -> tuple[tuple[str, ...], np.ndarray]:
+        """Names and (k, k) correlations of the fitted parameters; NaN at a bound."""
+        c = self.static.covariance
+        d = np.sqrt(np.diag(c))
+        return self.static.names, c / np.outer(d, d)
+
+    @cached_property
+    def warnings(self) -> list[str]:
+        """What a user must know before using the values, one line each."""
+        out = [line.removeprefix("left out: ") for line in self.said if line.startswith("left out: ")]
+        out += [f"{r.path}: partial: {r.damage.why} at {r.damage.where}" for r in self.runs if r.damage]
+        out += self.static.warnings
+        if (steady := self.static.stages.get("steady")) and np.any(steady.points.hold):
+            held = int(np.sum(steady.points.hold))
+            out.append(
+                f"{held} steady points are holds in moving runs: each carries friction left at rest, up to φμ_S over "
+                "the lever arm; it averages out only if holds are approached from both sides"
+            )
+        for kind, stage in self.static.stages.items():
+            loose = [p for p in map(self.parameters.get, stage.names) if p and _unstable(p)]
+            if loose:
+                factor = max(p.sd_over_pressures / p.sd for p in loose if p.sd and p.sd_over_pressures)
+                out.append(
+                    f"{', '.join(p.name for p in loose)} move with the pressures used, up to {factor:.0f} × their "
+                    f"standard deviation: the model's law over pressure does not fit the {kind} points; do not "
+                    "extrapolate it"
+                )
+        for kind, stage in self.static.stages.items():
+            noise = _noise(stage.points)
+            if noise and stage.rmse > 1.5 * noise:
+                out.append(
+                    f"{kind} error {stage.rmse:.3g} {UNIT[kind]} RMS is {stage.rmse / noise:.1f} × the measurements' "
+                    "stated scatter: something unmodelled is left"
+                )
+            runs = np.unique(stage.points.run)
+            bias = [stage.error[stage.points.run == i].mean() for i in runs]
+            if len(runs) > 1 and max(bias) - min(bias) > 2 * stage.rmse:
+                high, low = (self.runs[int(runs[int(f(bias))])].run_id for f in (np.argmax, np.argmin))
+                out.append(
+                    f"runs disagree: {kind} measurements of {high} lie {max(bias) - min(bias):.3g} {UNIT[kind]} above "
+                    f"those of {low} at the model's values; consider fitting them apart"
+                )
+        return out
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of fit.json."""
+        names, correlation = self.correlation
+        steady, probe = (self._points(kind) for kind in ("steady", "probe"))
+        robots = sorted({r.robot_id for r in self.runs})
+        return _plain(
+            {
+                "schema": SCHEMA,
+                "version": version("ljjax"),
+                "robot_id": robots[0] if len(robots) == 1 else robots,
+                "options": dict(self.options),
+                "start": self.start_from,
+                "inputs": [
+                    {
+                        "file": r.path,
+                        "sha256": r.sha256,
+                        "run_id": r.run_id,
+                        "robot_id": r.robot_id,
+                        "experiment": r.experiment,
+                        "role": "train",
+                        "partial": None if r.damage is None else f"{r.damage.why} at {r.damage.where}",
+                        **{k: int(np.sum(s.points.run == i)) for k, s in self.static.stages.items()},
+                    }
+                    for i, r in enumerate(self.runs)
+                ],
+                "said": list(self.said),
+                "gauge": "sigma0 = 1 1/rad: c4, c5 are bristle stiffness",
+                "lever_arm_m": float(self.model.chain.lever_arm_m),
+                "parameters": {
+                    p.name: {k: v for k, v in vars(p).items() if k != "name"} for p in self.parameters.values()
+                },
+                "correlation": {"names": names, "matrix": correlation},
+                "residuals": {kind: self._residuals(stage) for kind, stage in self.static.stages.items()},
+                "held_out": {kind: self._held_out(stage) for kind, stage in self.static.stages.items()},
+                "warnings": self.warnings,
+                "paper": paper_units(steady, probe, self.model.n, robots[0] if len(robots) == 1 else ""),
+            }
+        )
+
+    def _points(self, kind: str) -> Points:
+        if kind in self.static.stages:
+            return self.static.stages[kind].points
+        none = np.empty(0)
+        return Points(kind, none, none, none, none, none, none.astype(int), none.astype(bool))
+
+    @staticmethod
+    def _residuals(stage: Stage) -> dict[str, Any]:
+        p = stage.points
+        worst = int(np.argmax(np.abs(stage.error)))
+        return {
+            "unit": UNIT[p.kind],
+            "count": len(p),
+            "rmse": stage.rmse,
+            "r_squared": stage.r_squared,
+            "stated_scatter": _noise(p),
+            "largest": {
+                "error": stage.error[worst],
+                "theta_deg": np.degrees(p.theta[worst]),
+                "pressure_kpa": p.pressure_kpa[worst],
+            },
+            "points": {
+                "run": p.run,
+                "t_s": p.t,
+                "pressure_kpa": p.pressure_kpa,
+                "theta_rad": p.theta,
+                "measured": p.value,
+                "sd": p.sd,
+                "model": stage.predicted,
+                "error": stage.error,
+            },
+        }
+
+    @staticmethod
+    def _held_out(stage: Stage) -> dict[str, Any]:
+        """Leave-one-pressure-out errors: of each level, over the inner levels, over all."""
+        levels = stage.points.levels
+        rms = [float(np.sqrt(np.mean(stage.held_out[levels == k] ** 2))) for k in range(int(levels.max()) + 1)]
+        inner = rms[1:-1]
+        return {
+            "by": "pressure",
+            "unit": UNIT[stage.points.kind],
+            "pressure_kpa": stage.points.level_pressures(),
+            "rmse": rms,
+            "rmse_inner": float(np.sqrt(np.mean(np.square(inner)))) if inner else None,
+            "rmse_all": float(np.sqrt(np.mean(stage.held_out**2))),
+        }
+
+    def model_file(self) -> ModelFile:
+        sds = {p.name: p.sd for p in self.parameters.values() if p.sd is not None}
+        return ModelFile(self.model, sds, self.start.frozen)
+
+    def save(self, out: str | os.PathLike[str]) -> None:
+        """Write fit.json, model.toml, report.html and result.mcap into the folder `out`; all of them or none.
+
+        Raises InputError where `out` cannot be written.
+        """
+        from ljjax.fit.report import report
+
+        with artefacts(out) as folder:
+            data = self.as_dict()
+            text = json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False)
+            (folder / "fit.json").write_text(text + "\n", encoding="utf-8")
+            (folder / "model.toml").write_text(modelfile.dumps(self.model_file(), self._comment()), encoding="utf-8")
+            (folder / "report.html").write_text(report(self, data), encoding="utf-8")
+            copy_overlay(self.runs, folder / "result.mcap", [self._overlay(i) for i in range(len(self.runs))])
+
+    def _comment(self) -> str:
+        fitted = ", ".join(self.static.names)
+        assumed = ", ".join(p.name for p in self.parameters.values() if p.source == "model")
+        logs = ", ".join(r.run_id for r in self.runs)
+        return (
+            f"Identified by ljjax {version('ljjax')} from {logs}.\nFitted: {fitted}.\n"
+            f"Taken from {self.start_from}: {assumed}."
+        )
+
+    def _overlay(self, index: int) -> dict[str, dict[str, Signal]]:
+        """`/sim` and `/residual` of one run: what the model says in place of the measured tension and probe force."""
+        sim: dict[str, Signal] = {}
+        residual: dict[str, Signal] = {}
+        run = self.runs[index]
+        for kind, stage in self.static.stages.items():
+            mine = stage.points.run == index
+            if not np.any(mine):
+                continue
+            t, model, error = stage.points.t[mine], stage.predicted[mine], stage.error[mine]
+            if kind == "steady":
+                other = run.signal("tendons", "cmd_tendons")
+                right = other.held_at(t)[:, 1]
+                name, base = "tendons", np.stack([model + right, right], 1)
+                difference = np.stack([error, np.zeros_like(error)], 1)
+            else:
+                other = run.signal("probe")
+                x = other.held_at(t)[:, 0]
+                name, base = "probe", np.stack([x, model * x], 1)
+                difference = np.stack([np.zeros_like(x), error * x], 1)
+            sim[name] = Signal(t, base, other.columns, other.unit, "")
+            residual[name] = Signal(t, difference, other.columns, other.unit, "")
+        return {"/sim": sim, "/residual": residual}
+
+
+def _unstable(p: Parameter) -> bool:
+    return bool(p.sd and p.sd_over_pressures and p.sd_over_pressures > UNSTABLE * p.sd)
+
+
+def _noise(points: Points) -> float | None:
+    """RMS of the stated standard deviations, or None where none is stated."""
+    known = points.sd[np.isfinite(points.sd)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else None
+
+
+def _finite(x: Any) -> float | None:
+    return float(x) if np.isfinite(x) else None
+
+
+def _plain(x: Any) -> Any:
+    """Plain JSON values: arrays to lists, what is not finite to null."""
+    if isinstance(x, Mapping):
+        return {k: _plain(v) for k, v in x.items()}
+    if isinstance(x, np.ndarray):
+        return _plain(x.tolist())
+    if isinstance(x, list | tuple):
+        return [_plain(v) for v in x]
+    if isinstance(x, float | np.floating):
+        return _finite(x)
+    return int(x) if isinstance(x, np.integer) else x

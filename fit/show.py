@@ -1,0 +1,76 @@
+"""A fit on the terminal: parameters beside published values, how well they explain the data, where the report is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from ljjax.fit.points import UNIT
+from ljjax.fit.result import FitResult
+
+_PAPER = {
+    "alpha1": ("gravity.alpha1", "N"),
+    "c1": ("elastic.c1", "N/deg/kPa²"),
+    "c2": ("elastic.c2", "N/deg/kPa"),
+    "c3": ("elastic.c3", "N/deg"),
+    "c4": ("jamming.c4", "N/m"),
+    "c5": ("jamming.c5", "N/m/√kPa"),
+}
+
+
+def show(result: FitResult, out: Path, console: Console | None = None) -> None:
+    """Print what was found, and what to beware of."""
+    console = console or Console(highlight=False)
+    if not console.is_terminal:
+        console.width = 140
+    data = result.as_dict()
+    table = Table(title=f"Identified, SI, lever arm {data['lever_arm_m']:g} m (gauge σ₀ = 1)", title_justify="left")
+    for heading, justify in (("parameter", "left"), ("value", "right"), ("± 1 sd", "right")):
+        table.add_column(heading, justify=justify)  # pyright: ignore[reportArgumentType]
+    table.add_column("over pressures", justify="right")
+    table.add_column("unit")
+    table.add_column("verdict")
+    for p in result.parameters.values():
+        if p.source != "model":
+            colour = "green" if p.verdict == "identifiable" else "yellow"
+            row = (p.name, _number(p.value), _number(p.sd), _number(p.sd_over_pressures), p.unit)
+            table.add_row(*row, f"[{colour}]{p.verdict}[/{colour}]")
+    console.print(table)
+
+    paper, published = data["paper"], data["paper"].get("published", {})
+    if any(name in paper for name in _PAPER):
+        table = Table(title="The same in the paper's units (g = 1, degrees)", title_justify="left")
+        for heading in ("", "identified", "± 1 sd", "published"):
+            table.add_column(heading, justify="left" if not heading else "right")
+        table.add_column("unit")
+        for name, (_, unit) in _PAPER.items():
+            if name in paper:
+                table.add_row(
+                    name,
+                    _number(paper[name], 5),
+                    _number(paper["sd"][name]),
+                    _number(published.get(name), 6),
+                    unit,
+                )
+        if "c3_without_alpha1" in paper:
+            value, sd = paper["c3_without_alpha1"], paper["sd"]["c3_without_alpha1"]
+            table.add_row("c3, no alpha1", _number(value, 5), _number(sd), _number(published.get("c3"), 6), "N/deg")
+        if "r_squared" in paper:
+            table.add_row("R² of K_T", _number(paper["r_squared"], 4), "", _number(published.get("r_squared"), 6), "")
+        if "rmse_n" in paper:
+            table.add_row("RMSE of u", _number(paper["rmse_n"], 4), "", _number(published.get("rmse_n"), 4), "N")
+        console.print(table)
+
+    for kind, stage in result.static.stages.items():
+        held = data["held_out"][kind]["rmse_inner"]
+        line = f"{kind}: {len(stage.points)} points, error {stage.rmse:.3g} {UNIT[kind]} RMS, R² {stage.r_squared:.4f}"
+        console.print(line + (f", at left-out inner pressures {held:.3g} {UNIT[kind]}" if held else ""))
+    for warning in result.warnings:
+        console.print(f"[yellow]beware:[/yellow] {warning}", soft_wrap=True)
+    console.print(f"Report: {Path(out) / 'report.html'}", soft_wrap=True)
+
+
+def _number(x: float | None, digits: int = 3) -> str:
+    return "–" if x is None else f"{x:.{digits}g}" if x == 0 or 1e-4 <= abs(x) < 1e5 else f"{x:.{digits - 1}e}"

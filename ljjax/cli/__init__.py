@@ -1,0 +1,102 @@
+"""The command line: `ljjax COMMAND …`. A command's module, and what it needs, is imported when the command runs.
+
+Exit 0: done. Exit 2: bad input or usage, one line on stderr. Exit 1: a fault of ours.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import io
+import os
+import re
+import sys
+from collections.abc import Sequence
+
+from ljjax.errors import InputError
+
+COMMANDS = {
+    "fit": "identify a robot's parameters from logs",
+    "simulate": "replay a log's commands through a model",
+    "info": "what logs hold, and whether they meet the contract",
+}
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    args = list(sys.argv[1:] if args is None else args)
+    try:
+        if not args or args[0] in ("-h", "--help"):
+            print(_help())
+            return 0
+        if args[0] == "--version":
+            from importlib.metadata import version
+
+            print(f"ljjax {version('ljjax')}")
+            return 0
+        if args[0] not in COMMANDS:
+            raise InputError(f"no command {args[0]!r}; expected {', '.join(COMMANDS)} (ljjax --help)")
+        run = _parse(args[0], args[1:])
+        if run is not None:
+            run()
+        return 0
+    except InputError as error:
+        print(f"ljjax: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # the reader of our output has gone, as in `ljjax info … | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        print("ljjax: interrupted; nothing written", file=sys.stderr)
+        return 130
+
+
+def _help() -> str:
+    width = max(map(len, COMMANDS))
+    rows = "\n".join(f"  ljjax {name:<{width}}  {what}" for name, what in COMMANDS.items())
+    return (
+        "ljjax: simulate, identify, diagnose and control layer-jamming continuum robots\n\n"
+        f"{rows}\n\nljjax COMMAND --help says it all."
+    )
+
+
+def _parse(name: str, args: Sequence[str]):
+    """The command's call with its arguments bound, or None where only help was asked for."""
+    import tyro
+
+    command = importlib.import_module(f"ljjax.cli.{name}").command
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            bound = tyro.cli(
+                tyro.conf.configure(tyro.conf.AvoidSubcommands)(_bind(command)),
+                prog=f"ljjax {name}",
+                args=args,
+            )
+    except SystemExit as stop:
+        if not stop.code:
+            return None
+        raise InputError(f"{name}: {_one_line(said.getvalue())} (ljjax {name} --help)") from None
+    return bound
+
+
+def _bind(command):
+    """The same signature and help, returning the bound call instead of making it."""
+    import functools
+
+    @functools.wraps(command)
+    def bind(*args, **kwargs):
+        return functools.partial(command, *args, **kwargs)
+
+    bind.__annotations__ = {k: v for k, v in command.__annotations__.items() if k != "return"}
+    return bind
+
+
+def _one_line(boxed: str) -> str:
+    """The words of tyro's boxed message, without the box, its title and its pointer to --help."""
+    inside = [m.group(1).strip() for m in re.finditer(r"^│(.*)│\s*$", boxed, re.MULTILINE)]
+    rows = inside or [line.strip() for line in boxed.splitlines()]
+    keep = [
+        row for row in rows if row and not set(row) <= set("─- ") and "--help" not in row and "full helptext" not in row
+    ]
+    return " ".join(keep) or "bad usage"
