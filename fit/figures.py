@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from ljjax.fit.points import UNIT, Points
 from ljjax.fit.result import FitResult
 from ljjax.fit.static import Stage, predict, prediction_sd
-from ljjax.page import ACCENT, INK, MUTED, axes
+from ljjax.page import ACCENT, INK, MUTED, axes, legend
 
 
 def _colours(count: int) -> np.ndarray:
@@ -35,7 +35,7 @@ def tension(result: FitResult, stage: Stage) -> Figure:
         curve = predict(result.model, _curve("steady", np.full(len(theta), p), theta))
         ax.plot(np.degrees(theta), curve, color=colour, lw=1.6, label=f"{p:.3g} kPa")
     ax.set(xlabel="mean segment angle θ [deg]", ylabel="net tension u₁ − u₂ [N]")
-    ax.legend(title="vacuum", ncols=1 if len(pressures) < 7 else 2)
+    legend(ax, title="vacuum", ncols=1 if len(pressures) < 7 else 2)
     return figure
 
 
@@ -56,7 +56,7 @@ def residuals(stage: Stage) -> Figure:
         ax.axhspan(-band, band, color=MUTED, alpha=0.13, lw=0, label="stated scatter ± 1 sd")
     ax.axhline(0, color=INK, lw=0.8)
     ax.set(xlabel="mean segment angle θ [deg]", ylabel="measured − model [N]")
-    ax.legend(ncols=2)
+    legend(figure, loc="outside upper center", ncols=3)
     return figure
 
 
@@ -75,7 +75,7 @@ def error_map(stage: Stage) -> Figure:
         edgecolors=INK, linewidths=1.4,
     )  # fmt: skip
     figure.colorbar(drawn, ax=ax, label="measured − model [N]")
-    ax.set(xlabel="vacuum u_P [kPa]", ylabel="mean segment angle θ [deg]")
+    ax.set(xlabel="vacuum $u_P$ [kPa]", ylabel="mean segment angle θ [deg]")
     return figure
 
 
@@ -101,8 +101,8 @@ def probe(result: FitResult, stage: Stage) -> Figure:
         lw=1,
         label="measured ± 1 sd",
     )
-    ax.set(xlabel="vacuum u_P [kPa]", ylabel="tip stiffness K_T [N/m]", ylim=(0, None))
-    ax.legend(loc="lower right")
+    ax.set(xlabel="vacuum $u_P$ [kPa]", ylabel="tip stiffness $K_T$ [N/m]", ylim=(0, None))
+    legend(ax, loc="lower right")
     return figure
 
 
@@ -118,9 +118,9 @@ def left_out(stage: Stage) -> Figure:
     ax.bar(at - 0.2, rms(stage.error), 0.38, color=MUTED, alpha=0.6, label="fit on all")
     ax.bar(at + 0.2, rms(stage.held_out), 0.38, color=ACCENT, label="this pressure left out")
     ax.set_xticks(at, [f"{p:.3g}" for p in pressures])
-    ax.set(xlabel="vacuum u_P [kPa]", ylabel=f"RMS error [{UNIT[stage.points.kind]}]")
+    ax.set(xlabel="vacuum $u_P$ [kPa]", ylabel=f"RMS error [{UNIT[stage.points.kind]}]")
     ax.grid(False, axis="x")
-    ax.legend()
+    legend(ax)
     return figure
 
 

@@ -85,8 +85,10 @@ def solve(fun: Residuals, x0: np.ndarray, lower: np.ndarray, upper: np.ndarray, 
             if gain < 1e-15:
                 converged = True
                 break
-        elif damping > 1e12 or np.max(np.abs((trial - x) * scale)) <= 1e-14 * max(np.linalg.norm(r), 1e-300):
-            converged = damping <= 1e12
+        elif np.max(np.abs((trial - x) * scale)) <= 1e-14 * max(np.linalg.norm(r), np.linalg.norm(x * scale)):
+            converged = True  # nothing left but rounding
+            break
+        elif damping > 1e12:
             break
         else:
             damping = max(damping, 1e-9) * 10

@@ -70,7 +70,13 @@ def collect(runs: Sequence[Run]) -> tuple[Points, Points, list[str]]:
         InputError: no run gives any point; each run is named with the reason.
     """
     steady, probe, said = [], [], []
+    seen: dict[str, str] = {}
     for index, run in enumerate(runs):
+        if run.sha256 in seen:
+            said.append(f"left out: {run.path}: the same log as {seen[run.sha256]}")
+            continue
+        if run.sha256:
+            seen[run.sha256] = run.path
         try:
             found, how = points_of(run)
         except InputError as error:
@@ -122,52 +128,68 @@ def points_of(run: Run) -> tuple[list[Points], str]:
     return found, ", ".join(how)
 
 
-def _column(s: Signal, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """u₁ − u₂ at the given times and its standard deviation, if stated."""
-    value = s.held_at(at)
-    sd = np.full(len(at), np.nan)
-    if s.sd is not None:
-        index = np.clip(np.searchsorted(s.t, at, side="right") - 1, 0, len(s.t) - 1)
-        sd = np.hypot(s.sd[index, 0], s.sd[index, 1])
+def _column(s: Signal, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """u₁ − u₂ of the samples at `index` and its standard deviation, if stated."""
+    value = s.value[index]
+    sd = np.full(len(index), np.nan) if s.sd is None else np.hypot(s.sd[index, 0], s.sd[index, 1])
     return value[:, 0] - value[:, 1], sd
+
+
+def _beside(run: Run, measured: str, commanded: str, t: np.ndarray) -> tuple[Signal, np.ndarray]:
+    """The signal and the indices of its samples that belong to the times t: the nearest measurement, so that stamps a
+    moment apart do not take the point before; or the command in force."""
+    s = run.signal(measured, commanded)
+    if measured in run.signals:
+        return s, np.searchsorted((s.t[1:] + s.t[:-1]) / 2, t)
+    return s, np.clip(np.searchsorted(s.t, t, side="right") - 1, 0, len(s) - 1)
 
 
 def _samples(run: Run) -> Points:
     shape = run.signal("shape")
-    value, sd = _column(run.signal("tendons", "cmd_tendons"), shape.t)
-    pressure = run.vacuum_kpa("pressure", "cmd_pressure").held_at(shape.t)[:, 0]
+    value, sd = _column(*_beside(run, "tendons", "cmd_tendons", shape.t))
+    _, index = _beside(run, "pressure", "cmd_pressure", shape.t)
+    pressure = run.vacuum_kpa("pressure", "cmd_pressure").value[index, 0]
     none = np.zeros(len(shape), int)
     return Points("steady", value, sd, pressure, shape.value.mean(axis=1), shape.t, none, none.astype(bool))
 
 
 def _holds(run: Run, minimum_s: float = 0.8) -> Points:
-    """One point for every stretch of constant inputs whose second half shows no drift beyond the shape's noise."""
+    """One point for every stretch of constant inputs in whose second half shape and inputs stand still, to their own
+    noise. Inputs are taken at the shape's stamps, where a sparse command is constant between its samples."""
     shape = run.signal("shape")
     theta = shape.value.mean(axis=1)
-    inputs = [run.signal("cmd_tendons", "tendons"), run.signal("cmd_pressure", "pressure")]
-    changes = [s.t[1:][np.any(_moved(s), axis=1)] for s in inputs]
-    edges = np.unique(np.concatenate([shape.t[:1], *changes, shape.t[-1:]]))
-    noise = np.std(np.diff(theta)) / np.sqrt(2) if len(theta) > 2 else 0.0
+    drive = np.column_stack(
+        [run.signal(*names).held_at(shape.t) for names in (("cmd_tendons", "tendons"), ("cmd_pressure", "pressure"))]
+    )
+    tension, pressure = run.signal("tendons", "cmd_tendons"), run.vacuum_kpa("pressure", "cmd_pressure")
+    u, p = tension.held_at(shape.t) @ np.array([1.0, -1.0]), pressure.held_at(shape.t)[:, 0]
+    moved = np.any(np.abs(np.diff(drive, axis=0)) > 6 * 0.954 * _noise(drive), axis=1)
+    watched = np.column_stack([theta, drive])
+    quiet = 3 * _noise(watched) + np.r_[np.radians(0.02), 0.01 * np.ptp(drive, axis=0)]
+    quiet += 1e-9 * np.abs(watched).max(axis=0)  # rounding
+    edges = np.r_[0, np.flatnonzero(moved) + 1, len(shape)]
     rows = []
     for start, end in zip(edges[:-1], edges[1:], strict=True):
-        late = (shape.t >= start + (end - start) / 2) & (shape.t < end)
-        if end - start < minimum_s or late.sum() < 5:
+        first, last = shape.t[start], shape.t[end - 1]
+        late = np.arange(start, end)[shape.t[start:end] >= (first + last) / 2]
+        if last - first < minimum_s or len(late) < 5 or not _still(shape.t[late], watched[late], quiet):
             continue
-        t, y = shape.t[late], theta[late]
-        drift = np.polyfit(t - t[0], y, 1)[0] * (t[-1] - t[0])
-        if abs(drift) > 3 * noise + np.radians(0.02):
-            continue
-        tension, pressure = run.signal("tendons", "cmd_tendons"), run.vacuum_kpa("pressure", "cmd_pressure")
-        u, _ = _column(tension, t)
-        rows.append((u.mean(), np.nan, pressure.held_at(t)[:, 0].mean(), y.mean(), t.mean(), 0))
+        rows.append((u[late].mean(), np.nan, p[late].mean(), theta[late].mean(), shape.t[late].mean(), 0))
     value, sd, p, angle, at, index = np.array(rows, float).reshape(-1, 6).T
     return Points("steady", value, sd, p, angle, at, index.astype(int), np.ones(len(rows), bool))
 
 
-def _moved(s: Signal) -> np.ndarray:
-    """(N−1, k) whether a sample differs from the one before it by more than the signal's own noise."""
-    step = np.abs(np.diff(s.value, axis=0))
-    return step > 6 * np.median(step, axis=0)
+def _noise(x: np.ndarray) -> np.ndarray:
+    """(k,) standard deviation of white noise in each column, from the median step: a few jumps do not count."""
+    steps = np.abs(np.diff(x, axis=0))
+    return np.median(steps, axis=0) / 0.954 if len(steps) else np.zeros(x.shape[1])
+
+
+def _still(t: np.ndarray, x: np.ndarray, quiet: np.ndarray) -> bool:
+    """Whether each column of x drifts and scatters by no more than `quiet`."""
+    line = np.polynomial.polynomial.polyfit(t - t[0], x, 1)
+    drift = np.abs(line[1]) * (t[-1] - t[0])
+    return bool(np.all(drift <= quiet) and np.all(np.std(x, axis=0) <= quiet))
 
 
 def _presses(run: Run) -> Points:
@@ -182,28 +204,38 @@ def _presses(run: Run) -> Points:
         for t, x, f, s in zip(probe.t, position, force, sd, strict=True):
             rows.append((f / x, s, pressure.held_at(np.array([t]))[0, 0], np.interp(t, angle_t, theta), t, 0))
     else:
-        for part in _rising_parts(position):
+        for part in _pushes(position, force):
             x, f, t = position[part], force[part], probe.t[part]
-            (slope, _), covariance = np.polyfit(x, f, 1, cov="unscaled")
-            scatter = np.std(f - np.polyval(np.polyfit(x, f, 1), x))
+            (slope, offset), covariance = np.polyfit(x, f, 1, cov="unscaled")
+            error = f - slope * x - offset
+            scatter = np.sqrt(error @ error / (len(x) - 2))
             p = pressure.held_at(t)[:, 0].mean()
             sd = scatter * np.sqrt(covariance[0, 0])
             rows.append((slope, sd, p, np.interp(t.mean(), angle_t, theta), t.mean(), 0))
     if not rows:
         raise InputError(
-            f"{run.path}: {probe.topic}: no press found: position never rises over 5 samples or more; "
-            "log single presses with experiment = 'probe …', or the push itself"
+            f"{run.path}: {probe.topic}: no press found: position never moves in over 5 samples or more; "
+            "log single presses of one depth with experiment = 'probe …', or the push itself"
         )
     value, sd, p, angle, at, index = np.array(rows, float).T
     return Points("probe", value, sd, p, angle, at, index.astype(int), np.zeros(len(rows), bool))
 
 
 def _single_samples(run: Run, position: np.ndarray) -> bool:
-    return run.experiment.lower().startswith("probe") and bool(np.all(position != 0)) and np.ptp(position) == 0
+    """Whether every sample is a press of its own: declared so, and all of one depth to a tenth."""
+    same_depth = np.ptp(position) <= 0.1 * np.abs(position).min()
+    return run.experiment.lower().startswith("probe") and bool(np.all(position != 0)) and bool(same_depth)
+
+
+def _pushes(position: np.ndarray, force: np.ndarray) -> list[slice]:
+    """Stretches over which the probe pushes, toward +x or −x: the force grows in size, unlike in a release."""
+    parts = [*_rising_parts(position), *_rising_parts(-position)]
+    loading = [p for p in parts if abs(force[p][-3:].mean()) > abs(force[p][:3].mean())]
+    return sorted(loading, key=lambda p: p.start)
 
 
 def _rising_parts(position: np.ndarray) -> list[slice]:
-    """Stretches over which the probe pushes further in: from 10 % to 100 % of each rise of the position."""
+    """Stretches over which the probe pushes in: from 10 % of each rise of the position to its highest sample."""
     smooth = np.convolve(np.pad(position, 2, mode="edge"), np.ones(5) / 5, mode="valid")
     rising = np.diff(smooth) > 0.02 * np.abs(np.diff(smooth)).max(initial=0.0)
     edges = np.flatnonzero(np.diff(np.r_[0, rising.astype(int), 0]))
@@ -212,5 +244,5 @@ def _rising_parts(position: np.ndarray) -> list[slice]:
     for start, end in zip(edges[::2], edges[1::2], strict=True):
         if end - start >= 5 and smooth[end] - smooth[start] > 0.2 * span:
             begin = start + int(np.searchsorted(smooth[start:end], smooth[start] + 0.1 * (smooth[end] - smooth[start])))
-            parts.append(slice(begin, end + 1))
+            parts.append(slice(begin, begin + int(np.argmax(position[begin : end + 1])) + 1))
     return parts

@@ -265,11 +265,11 @@ class FitResult:
     def save(self, out: str | os.PathLike[str]) -> None:
         """Write fit.json, model.toml, report.html and result.mcap into the folder `out`; all of them or none.
 
-        Raises InputError where `out` cannot be written.
+        Raises InputError where `out` cannot be written, or where that would replace one of the logs.
         """
         from ljjax.fit.report import report
 
-        with artefacts(out) as folder:
+        with artefacts(out, keep=[self.start_from, *(run.path for run in self.runs)]) as folder:
             data = self.as_dict()
             text = json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False)
             (folder / "fit.json").write_text(text + "\n", encoding="utf-8")

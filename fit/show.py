@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from ljjax.fit.points import UNIT
@@ -68,8 +69,8 @@ def show(result: FitResult, out: Path, console: Console | None = None) -> None:
         line = f"{kind}: {len(stage.points)} points, error {stage.rmse:.3g} {UNIT[kind]} RMS, R² {stage.r_squared:.4f}"
         console.print(line + (f", at left-out inner pressures {held:.3g} {UNIT[kind]}" if held else ""))
     for warning in result.warnings:
-        console.print(f"[yellow]beware:[/yellow] {warning}", soft_wrap=True)
-    console.print(f"Report: {Path(out) / 'report.html'}", soft_wrap=True)
+        console.print(f"[yellow]beware:[/yellow] {escape(warning)}", soft_wrap=True)
+    console.print(f"Report: {escape(str(Path(out) / 'report.html'))}", soft_wrap=True)
 
 
 def _number(x: float | None, digits: int = 3) -> str:

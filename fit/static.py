@@ -67,7 +67,8 @@ class Stage:
     @property
     def r_squared(self) -> float:
         spread = self.points.value - self.points.value.mean()
-        return float(1 - self.error @ self.error / (spread @ spread))
+        total = float(spread @ spread)
+        return 1 - float(self.error @ self.error) / total if total > 0 else float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,9 +139,9 @@ def fit_static(
         scale = _scale(points, weights)
         if not free:
             raise InputError(f"every parameter that {points.kind} points could fix is frozen; free one of them")
-        _determined(model, points, free)
+        _determined(points, free, _jacobian(model, points, free, np.ones(len(points))))
         lower = np.array([0.0 if constraints == "paper" and n in POSITIVE_IN_PAPER else -np.inf for n in free])
-        solution = _solve(model, points, free, scale, lower)
+        solution = _solve(model, points, free, scale, lower, np.ones(len(points), bool))
         if not solution.converged:
             warnings.append(f"the {points.kind} fit stopped before it converged")
         if points.kind == "probe" and not len(steady):
@@ -168,40 +169,46 @@ def _scale(points: Points, weights: Weights) -> np.ndarray:
     return points.sd
 
 
-def _solve(model: Model, points: Points, free: tuple[str, ...], scale: np.ndarray, lower: np.ndarray) -> Solution:
+def _evaluate(model: Model, points: Points, names: tuple[str, ...], x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) the model's values at the points with the parameters `names` at x, and their Jacobian (N, k)."""
     theta, pressure = jnp.asarray(points.theta), jnp.asarray(points.pressure_kpa)
+    value, jacobian = _value_and_jacobian(model, names, jnp.asarray(x), points.kind == "steady", theta, pressure)
+    return np.asarray(value), np.asarray(jacobian)
+
+
+def _solve(
+    model: Model, points: Points, free: tuple[str, ...], scale: np.ndarray, lower: np.ndarray, keep: np.ndarray
+) -> Solution:
+    """The fit to the points of the mask `keep`; all are evaluated, so that every subset shares one compilation."""
 
     def residuals(x):
-        value, jacobian = _value_and_jacobian(model, free, jnp.asarray(x), points.kind == "steady", theta, pressure)
-        return (np.asarray(value) - points.value) / scale, np.asarray(jacobian) / scale[:, None]
+        value, jacobian = _evaluate(model, points, free, x)
+        return ((value - points.value) / scale)[keep], (jacobian / scale[:, None])[keep]
 
-    start = np.array([float(get(model, name)) for name in free])
-    return solve(residuals, start, lower, np.full(len(free), np.inf))
+    return solve(residuals, _values(model, free), lower, np.full(len(free), np.inf))
+
+
+def _values(model: Model, names: tuple[str, ...]) -> np.ndarray:
+    return np.array([float(get(model, name)) for name in names])
 
 
 def _jacobian(model: Model, points: Points, free: tuple[str, ...], scale: np.ndarray) -> np.ndarray:
-    x = jnp.asarray([float(get(model, name)) for name in free])
-    theta, pressure = jnp.asarray(points.theta), jnp.asarray(points.pressure_kpa)
-    return np.asarray(_value_and_jacobian(model, free, x, points.kind == "steady", theta, pressure)[1]) / scale[:, None]
+    return _evaluate(model, points, free, _values(model, free))[1] / scale[:, None]
 
 
-def _determined(model: Model, points: Points, free: tuple[str, ...]) -> None:
-    """Refuse parameters that no noise level could make these points show."""
+def _determined(points: Points, free: tuple[str, ...], jacobian: np.ndarray) -> None:
+    """Refuse parameters that no noise level could make these points, with the Jacobian (N, k), show."""
     pressures = points.level_pressures()
     lost = [name for name in free if NEEDED_LEVELS.get(name, 1) > len(pressures)]
     if lost:
-        needed = max(NEEDED_LEVELS[name] for name in lost)
+        needed = max(NEEDED_LEVELS.get(name, 1) for name in lost)
         at = ", ".join(f"{p:.4g}" for p in pressures)
         raise InputError(
             f"{points.kind} points are all at {len(pressures)} pressure{'s'[: len(pressures) > 1]} ({at} kPa): "
             f"{', '.join(lost)} cannot be found from them; add points at {needed} pressures or more, or freeze "
             f"{'it' if len(lost) == 1 else 'them'}: --freeze {' '.join(lost)}"
         )
-    loose = [
-        n
-        for n, bad in zip(free, undetermined(_jacobian(model, points, free, np.ones(len(points)))), strict=True)
-        if bad
-    ]
+    loose = [name for name, bad in zip(free, undetermined(jacobian), strict=True) if bad]
     if loose:
         raise InputError(
             f"{len(points)} {points.kind} points cannot tell {', '.join(loose)} apart; add points at other angles and "
@@ -240,16 +247,16 @@ def _leave_level_out(model, points, free, scale, lower) -> tuple[np.ndarray, np.
     count = levels.max() + 1
     errors = np.full(len(points), np.nan)
     estimates = []
+    jacobian = _jacobian(model, points, free, np.ones(len(points)))
     for level in range(count):
         rest, out = levels != level, levels == level
         try:
-            _determined(model, points.take(rest), free)
+            _determined(points.take(rest), free, jacobian[rest])
         except InputError:
             continue
-        found = _solve(model, points.take(rest), free, scale[rest], lower).x
+        found = _solve(model, points, free, scale, lower, rest).x
         estimates.append(found)
-        left = points.take(out)
-        errors[out] = left.value - np.asarray(predict(replace(model, dict(zip(free, found, strict=True))), left))
+        errors[out] = points.value[out] - _evaluate(model, points, free, found)[0][out]
     if len(estimates) < count or count < 3:
         return errors, np.full(len(free), np.nan)
     spread = np.array(estimates) - np.mean(estimates, axis=0)

@@ -9,3 +9,10 @@ class InputError(ValueError):
 
     def __init__(self, message: str):
         super().__init__(" ".join(str(message).split()))
+
+
+class SolverError(RuntimeError):
+    """A simulation that did not reach its end. The message is one line: the place, what happened, and what to try.
+
+    The command line prints it on stderr and exits with 1.
+    """

@@ -12,7 +12,9 @@ def stribeck(friction: Friction, v: Joints) -> Joints:
     """ρ(v) = μ_C + (μ_S − μ_C) exp(−|v/v_s|^σ₃), differentiable at v = 0 for σ₃ ≥ 1."""
     x = jnp.abs(v / friction.v_s)
     tiny = x < 1e-30  # |x|^σ₃ and its derivatives vanish here; the logarithm would not
-    power = jnp.where(tiny, 0.0 * x, jnp.exp(friction.sigma3 * jnp.log(jnp.where(tiny, jnp.ones_like(x), x))))
+    log_power = friction.sigma3 * jnp.log(jnp.where(tiny, jnp.ones_like(x), x))
+    log_power = jnp.minimum(log_power, 5.0)  # exp(−e⁵) is below rounding; beyond it the slope would be 0·∞
+    power = jnp.where(tiny, 0.0 * x, jnp.exp(log_power))
     return friction.mu_c + (friction.mu_s - friction.mu_c) * jnp.exp(-power)
 
 

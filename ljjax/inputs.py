@@ -31,17 +31,18 @@ class Inputs(eqx.Module):
     torque: Float[Array, "T n"] | None = None
     hold: bool = eqx.field(static=True, default=True)
 
-    def at(self, t: Scalar) -> tuple[Tendons, Scalar, Joints | None]:
-        """u [N], u_P [kPa] and τ_ext [N·m] at time t; the first values hold before the first stamp, the last after."""
-        low = jnp.clip(jnp.searchsorted(self.t, t, side="right") - 1, 0, self.t.shape[0] - 1)
+    def at(self, t: Scalar, within: Scalar | None = None) -> tuple[Tendons, Scalar, Joints | None]:
+        """u [N], u_P [kPa] and τ_ext [N·m] at time t; the first values hold before the first stamp, the last after.
+
+        `within`: the interval between stamps that holds this time is continued to t, for a solver whose stages may
+        lie beyond the end of its step.
+        """
+        now = t if within is None else within
+        low = jnp.clip(jnp.searchsorted(self.t, now, side="right") - 1, 0, self.t.shape[0] - 1)
         high = jnp.minimum(low + 1, self.t.shape[0] - 1)
-        if self.hold:
-            weight = jnp.zeros_like(t)
-        else:
-            width = self.t[high] - self.t[low]
-            inside = width > 0
-            weight = jnp.where(inside, (t - self.t[low]) / jnp.where(inside, width, jnp.ones_like(width)), 0.0 * t)
-            weight = jnp.clip(weight, 0, 1)
+        width = self.t[high] - self.t[low]
+        inside = (width > 0) & (now >= self.t[0])
+        weight = jnp.where(inside, (t - self.t[low]) / jnp.where(inside, width, jnp.ones_like(width)), 0.0 * t)
 
         def read(x):
             return x[low] if self.hold else (1 - weight) * x[low] + weight * x[high]

@@ -109,9 +109,14 @@ UNITS: Mapping[str, str] = {
 """The unit of every parameter, by path; its keys are all the parameters there are."""
 
 
-def get(model: Model, path: str) -> Scalar:
-    """The parameter at `path`. Raises InputError for a name that is none."""
+def get(model: Model, path: str) -> jax.Array:
+    """The parameter at `path`: a scalar, or an array over the elements of a batched model. Raises InputError for a name
+    that is none."""
     _known(path)
+    return _leaf(model, path)
+
+
+def _leaf(model: Model, path: str) -> Any:
     table, name = path.split(".")
     return getattr(getattr(model, table), name)
 
@@ -124,7 +129,7 @@ def replace(model: Model, values: Mapping[str, Any]) -> Model:
         return model
     paths = list(values)
     new = [jnp.asarray(values[p], dtype=get(model, p).dtype) for p in paths]
-    return eqx.tree_at(lambda m: [get(m, p) for p in paths], model, new)
+    return eqx.tree_at(lambda m: [_leaf(m, p) for p in paths], model, new)
 
 
 def astype(model: Model, dtype: Any) -> Model:

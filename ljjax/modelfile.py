@@ -42,13 +42,13 @@ def load(path: str | os.PathLike[str]) -> ModelFile:
         raise InputError(f"{where}: no such file; give a model.toml") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{where}: cannot be read as text ({error}); give a model.toml") from None
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # TOMLDecodeError, or a whole number of more digits than Python reads
         raise InputError(f"{where}: not TOML: {error}") from None
 
     if data.get("schema") != SCHEMA:
         raise InputError(f'{where}: schema is {data.get("schema")!r}; expected schema = "{SCHEMA}"')
     _only(where, "", data, {"schema", *TABLES, "effects", "uncertainty", "fit"})
-    if data.get("effects"):
+    if data.get("effects", []) != []:
         raise InputError(f"{where}: [[effects]]: this version of ljjax has no effects yet; remove the table")
 
     parts: dict[str, Any] = {}
@@ -101,7 +101,7 @@ def _frozen(where: str, entries: dict[str, Any]) -> tuple[str, ...]:
     if not isinstance(frozen, list):
         raise InputError(f'{where}: fit.frozen is {frozen!r}; expected a list such as ["gravity.alpha1"]')
     for path in frozen:
-        if path not in UNITS:
+        if not isinstance(path, str) or path not in UNITS:
             raise InputError(f"{where}: fit.frozen: {path!r} is no parameter; expected one of {', '.join(UNITS)}")
     return tuple(frozen)
 
@@ -122,9 +122,13 @@ def _only(where: str, table: str, entries: dict[str, Any], known: Iterable[str])
 def _number(where: str, key: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"{where}: {key} is {value!r}; expected a number [{UNITS.get(key, '')}]")
-    if not float("-inf") < value < float("inf"):
-        raise InputError(f"{where}: {key} is {value}; expected a finite number")
-    return float(value)
+    try:
+        number = float(value)
+    except OverflowError:  # TOML's whole numbers have no largest
+        number = float("inf")
+    if not float("-inf") < number < float("inf"):
+        raise InputError(f"{where}: {key} is {number}; expected a finite number")
+    return number
 
 
 def dumps(file: ModelFile, comment: str = "") -> str:

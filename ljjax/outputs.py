@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -13,11 +13,15 @@ from ljjax.errors import InputError
 
 
 @contextmanager
-def artefacts(out: str | os.PathLike[str]) -> Iterator[Path]:
+def artefacts(out: str | os.PathLike[str], keep: Sequence[str | os.PathLike[str]] = ()) -> Iterator[Path]:
     """A folder to write into; on a clean exit its files replace those of the same name in `out`, else it vanishes.
 
+    Args:
+        out: the folder; made where there is none.
+        keep: files never to replace, such as the logs that the artefacts are made from.
+
     Raises:
-        InputError: `out` is a file, or cannot be made or written.
+        InputError: `out` is a file, cannot be made or written, or holds a file of `keep` under an artefact's name.
     """
     target = Path(out)
     if target.exists() and not target.is_dir():
@@ -29,8 +33,19 @@ def artefacts(out: str | os.PathLike[str]) -> Iterator[Path]:
         raise InputError(f"{target}: cannot be written ({error.strerror}); choose another --out") from None
     try:
         yield made
-        target.mkdir(parents=True, exist_ok=True)
-        for path in sorted(made.iterdir()):
-            os.replace(path, target / path.name)
+        kept = {os.path.realpath(path) for path in keep}
+        files = sorted(made.iterdir())
+        for path in files:
+            there = target / path.name
+            if there.is_dir():
+                raise InputError(f"{there}: is a folder where a file is to go; move it, or choose another --out")
+            if os.path.realpath(there) in kept:
+                raise InputError(f"{there}: is an input and would be replaced; choose another --out")
+        try:
+            target.mkdir(parents=True, exist_ok=True)
+            for path in files:
+                os.replace(path, target / path.name)
+        except OSError as error:
+            raise InputError(f"{target}: cannot be written ({error.strerror}); choose another --out") from None
     finally:
         shutil.rmtree(made, ignore_errors=True)

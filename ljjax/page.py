@@ -61,6 +61,12 @@ def axes(width: float = 5.6, height: float = 3.9) -> tuple[Figure, Axes]:
         return figure, figure.add_subplot()
 
 
+def legend(owner: Axes | Figure, **kwargs: Any) -> None:
+    """A legend in the page's style, on axes or, with `loc="outside …"`, beside them."""
+    with matplotlib.rc_context(_STYLE):
+        owner.legend(**kwargs)
+
+
 def figure(plot: Figure, title: str, caption: str) -> str:
     """HTML of a picture with its caption; the caption is also what a screen reader says."""
     buffer = io.BytesIO()

@@ -13,7 +13,7 @@ import re
 import sys
 from collections.abc import Sequence
 
-from ljjax.errors import InputError
+from ljjax.errors import InputError, SolverError
 
 COMMANDS = {
     "fit": "identify a robot's parameters from logs",
@@ -25,6 +25,9 @@ COMMANDS = {
 def main(args: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     args = list(sys.argv[1:] if args is None else args)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal or a pipe that knows no Greek gets a "?", not a failure
     try:
         if not args or args[0] in ("-h", "--help"):
             print(_help())
@@ -43,6 +46,9 @@ def main(args: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(f"ljjax: {error}", file=sys.stderr)
         return 2
+    except SolverError as error:
+        print(f"ljjax: {error}", file=sys.stderr)
+        return 1
     except BrokenPipeError:  # the reader of our output has gone, as in `ljjax info … | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

@@ -44,7 +44,9 @@ def command(
 
     start = None if model is None else modelfile.load(model)
     if not logs:
-        raise InputError("no log given; expected files, folders or globs of *.mcap")
+        raise InputError(
+            "no log given; expected files, folders or globs of *.mcap (before --freeze, which takes several)"
+        )
     runs = read_all(find(logs), None if mapping is None else load_mapping(mapping))
     result = fit(start, runs, frozen=freeze, weights=weights, constraints=constraints, seed=seed, model_from=str(model))
     result.save(out)

@@ -39,11 +39,15 @@ def command(
     from ljjax.logs import copy_overlay, find, load_mapping, read
     from ljjax.replay import replay
 
+    if not 0 < rtol < 1:
+        raise InputError(f"--rtol {rtol:g}: expected a tolerance between 0 and 1, such as 1e-6")
     paths = find([log])
     if len(paths) != 1:
         raise InputError(f"{log}: {len(paths)} logs; simulate takes one")
     if out.is_dir() or not out.absolute().parent.is_dir():
         raise InputError(f"--out {out}: expected a file name in a folder that exists, such as run_sim.mcap")
+    if out.resolve() == paths[0].resolve():
+        raise InputError(f"--out {out}: is the log itself and would be replaced; give another name")
     loaded = modelfile.load(model)
     run = read(paths[0], None if mapping is None else load_mapping(mapping))
     overlay = replay(loaded.model, run, inputs=inputs, rtol=rtol)

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import mujoco
+import mujoco as _mujoco
 import numpy as np
 import pytest
 
 from ljjax import chain as chain_of
 from ljjax.energy import kinetic
 
+mujoco: Any = _mujoco  # its stubs leave most of it out
 SEGMENTS = [(6, 100), (1, 20), (2, 20), (9, 20)]
 GRAVITY = 9.81
 
@@ -94,10 +95,10 @@ def test_mujoco_has_the_same_chain(robot, n, count):
     )
     for name in Reference._fields:
         a, b = np.asarray(getattr(got, name)), getattr(expected, name)
-        scale = np.abs(b).reshape(count, -1).max(axis=1).max()
-        assert np.abs(a - b).max() <= 1e-9 * scale + 1e-18, name
+        error, scale = (np.abs(x).reshape(count, -1).max(axis=1) for x in (a - b, b))
+        assert np.all(error <= 1e-9 * scale + 1e-17), name
     if n > 1:
-        assert np.abs(expected.bias).max() > 1e-3  # there is something to compare
+        assert np.abs(expected.bias).max() > 1e-4  # there is something to compare
 
 
 @pytest.mark.parametrize("n", [1, 3, 6])
