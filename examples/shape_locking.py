@@ -21,7 +21,7 @@ import ljjax  # noqa: E402
 from ljjax.data import OCTROBOT  # noqa: E402
 from ljjax.energy import phi  # noqa: E402
 from ljjax.model import get, replace  # noqa: E402
-from ljjax.simulate import Trajectory, simulate  # noqa: E402
+from ljjax.simulation import Trajectory, simulate  # noqa: E402
 from ljjax.stiffness import steady_tension  # noqa: E402
 
 PRESSURES_KPA = (0.0, 10.0, 20.0, 30.0, 40.0)

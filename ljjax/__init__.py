@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from ljjax.modelfile import ModelFile
     from ljjax.modelfile import dumps as dump_model
     from ljjax.modelfile import load as load_model
-    from ljjax.simulate import Trajectory, energy_balance, simulate
+    from ljjax.simulation import Trajectory, energy_balance, simulate
 
 _HOME = {
     "InputError": ("ljjax.errors", "InputError"),
@@ -47,14 +47,14 @@ _HOME = {
     "ModelFile": ("ljjax.modelfile", "ModelFile"),
     "Run": ("ljjax.logs", "Run"),
     "State": ("ljjax.dynamics", "State"),
-    "Trajectory": ("ljjax.simulate", "Trajectory"),
+    "Trajectory": ("ljjax.simulation", "Trajectory"),
     "Writer": ("ljjax.logs", "Writer"),
     "dump_model": ("ljjax.modelfile", "dumps"),
-    "energy_balance": ("ljjax.simulate", "energy_balance"),
+    "energy_balance": ("ljjax.simulation", "energy_balance"),
     "load_model": ("ljjax.modelfile", "load"),
     "read": ("ljjax.logs", "read"),
     "read_all": ("ljjax.logs", "read_all"),
-    "simulate": ("ljjax.simulate", "simulate"),
+    "simulate": ("ljjax.simulation", "simulate"),
 }
 _ROOMS = ("fit", "gap", "control", "rig")
 

@@ -4,21 +4,39 @@ With P the highest vacuum in use, for every real value of the free numbers the m
 α₂ > 0 and φ > 0 on [0, P], μ_S ≥ μ_C > 0, v_s > 0, σ₁ ≥ 0, σ₃ ≥ 1, and passive friction.
 
 α₂ on [0, P] is a quadratic with Bernstein coefficients b₀, b₁, b₂; it is positive there exactly when b₀, b₂ > 0 and
-b₁ > −√(b₀b₂). φ is linear in √u_P, so its two end values decide.
+b₁ > −√(b₀b₂). φ is linear in √u_P, so its two end values decide. σ₀ is the gauge and not among the free numbers.
 """
 
 from __future__ import annotations
 
 import jax.numpy as jnp
+from jax.core import Tracer
 
 from ljjax._types import Scalar
-from ljjax.model import UNITS, Model, get, replace
+from ljjax.errors import InputError
+from ljjax.model import UNITS, Model, check, get, passivity_margin, replace
 
 _POSITIVE = ("chain.half_length_m", "chain.radius_m", "chain.lever_arm_m", "chain.segment_mass_kg")
+FREE = tuple(path for path in UNITS if path != "friction.sigma0")
+"""The parameters that the free numbers give, by path."""
 
 
 def unconstrain(model: Model, pressure_max_kpa: float) -> dict[str, Scalar]:
-    """The free numbers of an admissible model: path → scalar. A value on a bound gives −inf."""
+    """The free numbers of an admissible model: path → scalar. A value on a bound gives −inf.
+
+    Raises:
+        InputError: the model is not admissible on [0, P], or P is not > 0 (values under a JAX transformation are not
+            checked).
+    """
+    if not pressure_max_kpa > 0:
+        raise InputError(f"the highest vacuum is {pressure_max_kpa:g} kPa; expected > 0")
+    check(model, (0.0, pressure_max_kpa))
+    margin = passivity_margin(model)
+    if not isinstance(margin, Tracer) and margin < 0:
+        raise InputError(
+            f"model: friction.sigma2 must be ≥ sigma1·(mu_s − mu_c)/mu_c "
+            f"for passive friction; it is {-float(margin):g} s/rad short"
+        )
     x = {path: get(model, path) for path in UNITS}
     p = pressure_max_kpa
     b0, b2 = x["elastic.c3"], (x["elastic.c1"] * p + x["elastic.c2"]) * p + x["elastic.c3"]
@@ -32,7 +50,6 @@ def unconstrain(model: Model, pressure_max_kpa: float) -> dict[str, Scalar]:
         "elastic.c1": jnp.log(b2),
         "jamming.c4": jnp.log(x["jamming.c4"]),
         "jamming.c5": jnp.log(x["jamming.c4"] + x["jamming.c5"] * p**0.5),
-        "friction.sigma0": jnp.log(x["friction.sigma0"]),
         "friction.sigma1": jnp.log(x["friction.sigma1"]),
         "friction.sigma2": jnp.log(x["friction.sigma2"] - x["friction.sigma1"] * mu_gap / x["friction.mu_c"]),
         "friction.sigma3": jnp.log(x["friction.sigma3"] - 1),
@@ -40,7 +57,7 @@ def unconstrain(model: Model, pressure_max_kpa: float) -> dict[str, Scalar]:
         "friction.mu_s": jnp.log(mu_gap),
         "friction.v_s": jnp.log(x["friction.v_s"]),
     }
-    return {path: free[path] for path in UNITS}
+    return {path: free[path] for path in FREE}
 
 
 def constrain(free: dict[str, Scalar], like: Model, pressure_max_kpa: float) -> Model:
@@ -52,7 +69,7 @@ def constrain(free: dict[str, Scalar], like: Model, pressure_max_kpa: float) -> 
     b1 = e["elastic.c2"] - jnp.sqrt(b0 * b2)
     mu_c, mu_gap = e["friction.mu_c"], e["friction.mu_s"]
     values = {
-        **{path: e[path] for path in (*_POSITIVE, "friction.sigma0", "friction.sigma1", "friction.v_s")},
+        **{path: e[path] for path in (*_POSITIVE, "friction.sigma1", "friction.v_s")},
         "gravity.alpha1": free["gravity.alpha1"],
         "elastic.c3": b0,
         "elastic.c2": 2 * (b1 - b0) / p,

@@ -132,6 +132,14 @@ def replace(model: Model, values: Mapping[str, Any]) -> Model:
     return eqx.tree_at(lambda m: [_leaf(m, p) for p in paths], model, new)
 
 
+def in_gauge(model: Model) -> Model:
+    """The same robot with σ₀ = 1 rad⁻¹: c₄, c₅ times σ₀; σ₁, σ₂, μ_C, μ_S divided by it (model section 1)."""
+    s0 = model.friction.sigma0
+    grown = {path: get(model, path) * s0 for path in ("jamming.c4", "jamming.c5")}
+    shrunk = {f"friction.{name}": getattr(model.friction, name) / s0 for name in ("sigma1", "sigma2", "mu_c", "mu_s")}
+    return replace(model, {**grown, **shrunk, "friction.sigma0": jnp.ones_like(s0)})
+
+
 def astype(model: Model, dtype: Any) -> Model:
     """The model with every parameter in `dtype` (float32 or float64)."""
     return jax.tree.map(lambda leaf: leaf.astype(dtype), model)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ljjax.errors import InputError
-from ljjax.model import TABLES, UNITS, Model, check, get
+from ljjax.model import TABLES, UNITS, Model, check, get, in_gauge
 
 SCHEMA = "ljjax.model/1"
 LAWS = {"elastic": "polynomial", "jamming": "sqrt"}
@@ -58,8 +58,8 @@ def load(path: str | os.PathLike[str]) -> ModelFile:
         entries = _table(where, table, data[table])
         names = {p.split(".")[1] for p in UNITS if p.startswith(table + ".")}
         _only(where, table, entries, names | _EXTRA.get(table, set()))
-        if table in LAWS and entries.get("law", LAWS[table]) != LAWS[table]:
-            raise InputError(f'{where}: {table}.law is {entries["law"]!r}; the law known is "{LAWS[table]}"')
+        if table in LAWS and entries.get("law") != LAWS[table]:
+            raise InputError(f'{where}: {table}.law is {entries.get("law")!r}; expected law = "{LAWS[table]}"')
         values = {}
         for name in sorted(names):
             if name not in entries:
@@ -71,8 +71,8 @@ def load(path: str | os.PathLike[str]) -> ModelFile:
                 raise InputError(f"{where}: chain.segments is {n!r}; expected a whole number ≥ 1")
             values["segments"] = n
         if table == "friction":
-            if entries.get("gauge", GAUGE) != GAUGE:
-                raise InputError(f'{where}: friction.gauge is {entries["gauge"]!r}; expected "{GAUGE}"')
+            if entries.get("gauge") != GAUGE:
+                raise InputError(f'{where}: friction.gauge is {entries.get("gauge")!r}; expected gauge = "{GAUGE}"')
             if values["sigma0"] != 1.0:
                 raise InputError(
                     f"{where}: friction.sigma0 is {values['sigma0']:g}; the gauge {GAUGE} fixes it at 1: multiply c4 "
@@ -132,7 +132,12 @@ def _number(where: str, key: str, value: Any) -> float:
 
 
 def dumps(file: ModelFile, comment: str = "") -> str:
-    """The text of a model.toml; numbers keep every digit. `comment` goes on top, a line each."""
+    """The text of a model.toml; numbers keep every digit. `comment` goes on top, a line each.
+
+    A model in another gauge is written in the file's, σ₀ = 1. The options `constant_mass` and `lever` are not the
+    robot's, and not in the file.
+    """
+    file = ModelFile(in_gauge(file.model), file.uncertainty, file.frozen)
     lines = [f"# {line}" for line in comment.splitlines()] + [f'schema = "{SCHEMA}"']
     for table in TABLES:
         lines += ["", f"[{table}]"]

@@ -10,7 +10,7 @@ import numpy as np
 from ljjax.logs import Run, Signal
 from ljjax.logs.contract import POSE
 from ljjax.model import Model
-from ljjax.simulate import Trajectory, simulate
+from ljjax.simulation import Trajectory, simulate
 
 
 def replay(

@@ -5,27 +5,30 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ljjax.constraints import constrain, unconstrain
+from ljjax.constraints import FREE, constrain, unconstrain
 from ljjax.inputs import Inputs
-from ljjax.model import UNITS, Chain, Elastic, Friction, Gravity, Jamming, Model, replace
+from ljjax.model import Chain, Elastic, Friction, Gravity, Jamming, Model, replace
 
 PRESSURE_MAX_KPA = 40.0
 
 
 def make_robot(n: int = 3, parameters: dict[str, float] | None = None, **options: Any) -> Model:
     """A robot in which every term of the model matters; `parameters` (path → value) are changed."""
+    x = jnp.asarray
     model = Model(
-        Chain(0.021, 0.025, 0.02, 0.06, segments=n),
-        Gravity(0.4),
-        Elastic(-6e-4, 0.04, 0.8),
-        Jamming(3.0, 0.7),
-        Friction(0.004, 0.012, 1.6, 0.025, 0.03, 0.045),
+        Chain(x(0.021), x(0.025), x(0.02), x(0.06), segments=n),
+        Gravity(x(0.4)),
+        Elastic(x(-6e-4), x(0.04), x(0.8)),
+        Jamming(x(3.0), x(0.7)),
+        Friction(x(0.004), x(0.012), x(1.6), x(0.025), x(0.03), x(0.045)),
         **options,
     )
+    model = jax.tree.map(lambda leaf: leaf.astype(float), model)  # strong types, as in a loaded model
     return replace(model, parameters or {})
 
 
@@ -34,8 +37,8 @@ def make_random_robot(seed: int, n: int = 3, **options: Any) -> Model:
     rng = np.random.default_rng(seed)
     like = make_robot(n, **options)
     free = unconstrain(like, PRESSURE_MAX_KPA)
-    step = {path: jnp.asarray(rng.normal(scale=0.3)) for path in UNITS}
-    return constrain({path: free[path] + step[path] for path in UNITS}, like, PRESSURE_MAX_KPA)
+    step = {path: jnp.asarray(rng.normal(scale=0.3)) for path in FREE}
+    return constrain({path: free[path] + step[path] for path in FREE}, like, PRESSURE_MAX_KPA)
 
 
 def make_random_inputs(seed: int, *, n: int = 3, hold: bool = True, torque: bool = False, end: float = 1.0) -> Inputs:

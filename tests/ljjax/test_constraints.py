@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ljjax import energy
-from ljjax.constraints import constrain, unconstrain
+from ljjax.constraints import FREE, constrain, unconstrain
 from ljjax.model import UNITS, check, get, passivity_margin
 
 examples = settings(deadline=None, max_examples=200, derandomize=True)
-free_numbers = st.lists(st.floats(-6.0, 6.0), min_size=len(UNITS), max_size=len(UNITS))
+free_numbers = st.lists(st.floats(-6.0, 6.0), min_size=len(FREE), max_size=len(FREE))
 PRESSURES = [1.0, 40.0, 90.0]
 
 constrain_jit = eqx.filter_jit(constrain)
@@ -31,7 +31,7 @@ def alpha2_and_phi(model, u_p):
 @examples
 @given(numbers=free_numbers)
 def test_any_numbers_make_an_admissible_robot(robot, p, numbers):
-    free = {path: jnp.asarray(x) for path, x in zip(UNITS, numbers, strict=True)}
+    free = {path: jnp.asarray(x) for path, x in zip(FREE, numbers, strict=True)}
     model = constrain_jit(free, robot(), p)
     check(model, [0.0, p])
     assert float(passivity_margin(model)) > 0
@@ -43,12 +43,12 @@ def test_any_numbers_make_an_admissible_robot(robot, p, numbers):
 
 @pytest.mark.parametrize("p", PRESSURES)
 @examples
-@given(numbers=st.lists(st.floats(-3.0, 3.0), min_size=len(UNITS), max_size=len(UNITS)))
+@given(numbers=st.lists(st.floats(-3.0, 3.0), min_size=len(FREE), max_size=len(FREE)))
 def test_free_numbers_come_back(robot, p, numbers):
-    free = {path: jnp.asarray(x) for path, x in zip(UNITS, numbers, strict=True)}
+    free = {path: jnp.asarray(x) for path, x in zip(FREE, numbers, strict=True)}
     back = unconstrain_jit(constrain_jit(free, robot(), p), p)
-    assert set(back) == set(UNITS)
-    np.testing.assert_allclose([back[path] for path in UNITS], numbers, rtol=1e-7, atol=1e-7)
+    assert set(back) == set(FREE)
+    np.testing.assert_allclose([back[path] for path in FREE], numbers, rtol=1e-7, atol=1e-7)
 
 
 def test_robots_come_back(robot, random_robot):
@@ -73,20 +73,20 @@ def test_derivatives_against_differences(robot, scale):
     rng = np.random.default_rng(1)
     like = robot()
     start = jnp.asarray([float(x) for x in unconstrain(like, 40.0).values()])
-    x = start + jnp.asarray(scale * rng.normal(size=len(UNITS)))
+    x = start + jnp.asarray(scale * rng.normal(size=len(FREE)))
 
     @jax.jit
     def numbers(x):
-        model = constrain({path: x[i] for i, path in enumerate(UNITS)}, like, 40.0)
-        return jnp.stack([get(model, path) for path in UNITS])
+        model = constrain({path: x[i] for i, path in enumerate(FREE)}, like, 40.0)
+        return jnp.stack([get(model, path) for path in FREE])
 
     forward, reverse = jax.jacfwd(numbers)(x), jax.jacrev(numbers)(x)
     h = 1e-5
-    differences = [(numbers(x + h * e) - numbers(x - h * e)) / (2 * h) for e in jnp.eye(len(UNITS))]
+    differences = [(numbers(x + h * e) - numbers(x - h * e)) / (2 * h) for e in jnp.eye(len(FREE))]
     size = np.abs(numbers(x))[:, None] + 1e-9
     np.testing.assert_allclose(forward, reverse, rtol=1e-12)
     np.testing.assert_allclose(forward / size, np.stack(differences, axis=1) / size, atol=1e-7, rtol=1e-6)
-    assert np.linalg.matrix_rank(np.asarray(forward / size)) == len(UNITS)  # one-to-one, locally
+    assert np.linalg.matrix_rank(np.asarray(forward / size)) == len(FREE)  # one-to-one, locally
 
 
 @pytest.mark.parametrize(

@@ -128,7 +128,12 @@ def test_float32_everywhere(robot):
     def everything(model, state, u_p):
         field = jax.jacrev(lambda s: rhs(model, s, jnp.ones(2, jnp.float32), u_p))
         power = pressure_power(model, state, u_p, u_p)
-        return port_hamiltonian(model, state, u_p), energy.total(model, *state, u_p), power, field(state)
+        return (
+            port_hamiltonian(model, state, u_p),
+            energy.total(model, state.q, state.v, state.z, u_p),
+            power,
+            field(state),
+        )
 
     out = everything(model, state, jnp.asarray(u_p))
     assert {leaf.dtype for leaf in jax.tree.leaves(out)} == {jnp.dtype("float32")}

@@ -12,7 +12,7 @@ import pytest
 from ljjax import energy
 from ljjax.dynamics import State, pressure_power
 from ljjax.inputs import Inputs
-from ljjax.simulate import energy_balance
+from ljjax.simulation import energy_balance
 
 Q = jnp.array([0.3, -0.2, 0.5])
 

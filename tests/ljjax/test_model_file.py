@@ -6,10 +6,13 @@ from importlib.resources import files
 from pathlib import Path
 
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
+from ljjax import energy
 from ljjax.errors import InputError
-from ljjax.model import UNITS, astype, check, get, replace
+from ljjax.friction import friction_torque
+from ljjax.model import UNITS, astype, check, get, in_gauge, replace
 from ljjax.modelfile import ModelFile, dumps, load
 
 NOMINAL = Path(str(files("ljjax"))) / "data" / "octrobot" / "nominal.toml"
@@ -57,6 +60,8 @@ REFUSED = {
     "unknown key with a newline": ("alpha1 = 0.4", 'alpha1 = 0.4\n"al\\npha" = 1.0', "gravity.al"),
     "law where there is none": ("[gravity]", '[gravity]\nlaw = "sine"', "gravity.law"),
     "missing key": ("mu_s = 0.03", "", "friction.mu_s"),
+    "missing law": ('law = "sqrt"', "", "jamming.law"),
+    "missing gauge": ('gauge = "sigma0=1"', "", "friction.gauge"),
     "missing gauge value": ("sigma0 = 1.0", "", "friction.sigma0"),
     "missing segments": ("segments = 4", "", "chain.segments"),
     "missing table": ("[gravity]\nalpha1 = 0.4", "", "gravity"),
@@ -172,3 +177,15 @@ def test_unknown_parameters_are_named(robot):
     for use in (lambda: get(robot(), "friction.mu"), lambda: replace(robot(), {"friction.mu": 1.0})):
         with pytest.raises(InputError, match="friction.mu"):
             use()
+
+
+def test_another_gauge_is_written_in_the_files_own(tmp_path, robot):
+    """A model with σ₀ ≠ 1 is the same robot in the file: same torques, and the file loads."""
+    other = replace(in_gauge(robot(3)), {"friction.sigma0": 2.0})
+    path = tmp_path / "model.toml"
+    path.write_text(dumps(ModelFile(other)), encoding="utf-8")
+    back = load(path).model
+    v, z, phi = jnp.asarray([0.03, -0.2, 0.0]), jnp.asarray([0.002, 0.001, -0.001]), jnp.asarray(15.0)
+    ours = friction_torque(other.friction, v, z, energy.phi(other, phi))
+    assert np.allclose(friction_torque(back.friction, v, z, energy.phi(back, phi)), ours, rtol=1e-12)
+    assert float(back.friction.sigma0) == 1.0

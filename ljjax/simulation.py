@@ -104,6 +104,9 @@ def simulate(
         x = getattr(driven, name)
         if x is not None and not isinstance(x, Tracer) and not np.isfinite(np.asarray(x)).all():
             raise InputError(f"{where}: inputs: {name} holds values that are not finite numbers")
+    for name, x in (("t", driven.t), ("at", at)):
+        if not isinstance(x, Tracer) and np.any(np.diff(np.asarray(x)) < 0):
+            raise InputError(f"{where}: the stamps {name} go back in time; sort them")
     if not isinstance(driven.pressure_kpa, Tracer):
         check(model, np.asarray(driven.pressure_kpa).ravel().tolist(), where)
     initial = rest(model, driven) if initial is None else initial
@@ -118,8 +121,8 @@ def simulate(
 
 
 def initial_shape(run: Run, n: int) -> Array:
-    """(n,) the shape [rad] a run starts from: the mean of the samples before its inputs first change, the first
-    sample at least; joints share θ where only θ is logged."""
+    """(n,) the shape [rad] a run starts from: the mean of the samples before its commands first change, in the first
+    second; the first sample at least, and alone where no commands are logged. Joints share θ where only θ is logged."""
     shape = run.signal("shape")
     moves = []
     for name in ("cmd_tendons", "cmd_pressure"):
@@ -127,7 +130,8 @@ def initial_shape(run: Run, n: int) -> Array:
             s = run.signals[name]
             changed = np.flatnonzero(np.any(s.value != s.value[0], axis=1))
             moves += [s.t[changed[0]]] if len(changed) else []
-    still = shape.t <= min([*moves, shape.t[0] + 1.0])
+            moves += [shape.t[0] + 1.0]
+    still = shape.t <= min(moves, default=shape.t[0])
     still[0] = True
     mean = shape.value[still].mean(axis=0)
     if mean.size not in (1, n):
