@@ -50,9 +50,7 @@ def residuals(stage: Stage) -> Figure:
         ax.plot(
             np.degrees(points.theta[mine]), stage.error[mine], "o-", ms=3.5, lw=1.2, color=colour, label=f"{p:.3g} kPa"
         )
-    scatter = points.sd[np.isfinite(points.sd)]
-    if len(scatter):
-        band = float(np.sqrt(np.mean(scatter**2)))
+    if band := points.scatter:
         ax.axhspan(-band, band, color=MUTED, alpha=0.13, lw=0, label="stated scatter ± 1 sd")
     ax.axhline(0, color=INK, lw=0.8)
     ax.set(xlabel="mean segment angle θ [deg]", ylabel="measured − model [N]")

@@ -53,6 +53,18 @@ class Points:
         level[order] = np.concatenate([[0], np.cumsum(steps)]) if len(self) else []
         return level
 
+    @property
+    def scatter(self) -> float | None:
+        """RMS of the stated standard deviations; None where none is stated."""
+        known = self.sd[np.isfinite(self.sd)]
+        return float(np.sqrt(np.mean(known**2))) if len(known) else None
+
+    @staticmethod
+    def none(kind: str) -> Points:
+        """No points."""
+        x = np.empty(0)
+        return Points(kind, x, x, x, x, x, x.astype(int), x.astype(bool))
+
     def level_pressures(self) -> np.ndarray:
         """(L,) mean pressure of each level [kPa]."""
         levels = self.levels
@@ -93,9 +105,9 @@ def collect(runs: Sequence[Run]) -> tuple[Points, Points, list[str]]:
 
 def _join(kind: str, parts: Iterable[Points]) -> Points:
     parts = list(parts)
-    columns = (np.concatenate([getattr(p, c) for p in parts]) if parts else np.empty(0) for c in _COLUMNS)
-    value, sd, pressure, theta, t, run, hold = columns
-    return Points(kind, value, sd, pressure, theta, t, run.astype(int), hold.astype(bool))
+    if not parts:
+        return Points.none(kind)
+    return Points(kind, *(np.concatenate([getattr(p, c) for p in parts]) for c in _COLUMNS))
 
 
 def points_of(run: Run) -> tuple[list[Points], str]:

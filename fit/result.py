@@ -14,15 +14,13 @@ import numpy as np
 from scipy import stats
 
 from ljjax import modelfile
-from ljjax.fit.paper import paper_units
-from ljjax.fit.points import UNIT, Points
+from ljjax.fit.points import UNIT
 from ljjax.fit.static import Stage, StaticFit
 from ljjax.logs import Run, Signal, copy_overlay
 from ljjax.model import UNITS, get
 from ljjax.modelfile import ModelFile
 from ljjax.outputs import artefacts
 
-SCHEMA = "ljjax.fit/1"
 UNSTABLE = 3.0
 """A parameter whose deviation over left-out pressure levels is this many times its standard deviation is flagged."""
 
@@ -155,7 +153,7 @@ class FitResult:
                     "extrapolate it"
                 )
         for kind, stage in self.static.stages.items():
-            noise = _noise(stage.points)
+            noise = stage.points.scatter
             if noise and stage.rmse > 1.5 * noise:
                 out.append(
                     f"{kind} error {stage.rmse:.3g} {UNIT[kind]} RMS is {stage.rmse / noise:.1f} × the measurements' "
@@ -173,90 +171,9 @@ class FitResult:
 
     def as_dict(self) -> dict[str, Any]:
         """The content of fit.json."""
-        names, correlation = self.correlation
-        steady, probe = (self._points(kind) for kind in ("steady", "probe"))
-        robots = sorted({r.robot_id for r in self.runs})
-        return _plain(
-            {
-                "schema": SCHEMA,
-                "version": version("ljjax"),
-                "robot_id": robots[0] if len(robots) == 1 else robots,
-                "options": dict(self.options),
-                "start": self.start_from,
-                "inputs": [
-                    {
-                        "file": r.path,
-                        "sha256": r.sha256,
-                        "run_id": r.run_id,
-                        "robot_id": r.robot_id,
-                        "experiment": r.experiment,
-                        "role": "train",
-                        "partial": None if r.damage is None else f"{r.damage.why} at {r.damage.where}",
-                        **{k: int(np.sum(s.points.run == i)) for k, s in self.static.stages.items()},
-                    }
-                    for i, r in enumerate(self.runs)
-                ],
-                "said": list(self.said),
-                "gauge": "sigma0 = 1 1/rad: c4, c5 are bristle stiffness",
-                "lever_arm_m": float(self.model.chain.lever_arm_m),
-                "parameters": {
-                    p.name: {k: v for k, v in vars(p).items() if k != "name"} for p in self.parameters.values()
-                },
-                "correlation": {"names": names, "matrix": correlation},
-                "residuals": {kind: self._residuals(stage) for kind, stage in self.static.stages.items()},
-                "held_out": {kind: self._held_out(stage) for kind, stage in self.static.stages.items()},
-                "warnings": self.warnings,
-                "paper": paper_units(steady, probe, self.model.n, robots[0] if len(robots) == 1 else ""),
-            }
-        )
+        from ljjax.fit.record import record
 
-    def _points(self, kind: str) -> Points:
-        if kind in self.static.stages:
-            return self.static.stages[kind].points
-        none = np.empty(0)
-        return Points(kind, none, none, none, none, none, none.astype(int), none.astype(bool))
-
-    @staticmethod
-    def _residuals(stage: Stage) -> dict[str, Any]:
-        p = stage.points
-        worst = int(np.argmax(np.abs(stage.error)))
-        return {
-            "unit": UNIT[p.kind],
-            "count": len(p),
-            "rmse": stage.rmse,
-            "r_squared": stage.r_squared,
-            "stated_scatter": _noise(p),
-            "largest": {
-                "error": stage.error[worst],
-                "theta_deg": np.degrees(p.theta[worst]),
-                "pressure_kpa": p.pressure_kpa[worst],
-            },
-            "points": {
-                "run": p.run,
-                "t_s": p.t,
-                "pressure_kpa": p.pressure_kpa,
-                "theta_rad": p.theta,
-                "measured": p.value,
-                "sd": p.sd,
-                "model": stage.predicted,
-                "error": stage.error,
-            },
-        }
-
-    @staticmethod
-    def _held_out(stage: Stage) -> dict[str, Any]:
-        """Leave-one-pressure-out errors: of each level, over the inner levels, over all."""
-        levels = stage.points.levels
-        rms = [float(np.sqrt(np.mean(stage.held_out[levels == k] ** 2))) for k in range(int(levels.max()) + 1)]
-        inner = rms[1:-1]
-        return {
-            "by": "pressure",
-            "unit": UNIT[stage.points.kind],
-            "pressure_kpa": stage.points.level_pressures(),
-            "rmse": rms,
-            "rmse_inner": float(np.sqrt(np.mean(np.square(inner)))) if inner else None,
-            "rmse_all": float(np.sqrt(np.mean(stage.held_out**2))),
-        }
+        return record(self)
 
     def model_file(self) -> ModelFile:
         sds = {p.name: p.sd for p in self.parameters.values() if p.sd is not None}
@@ -315,24 +232,5 @@ def _unstable(p: Parameter) -> bool:
     return bool(p.sd and p.sd_over_pressures and p.sd_over_pressures > UNSTABLE * p.sd)
 
 
-def _noise(points: Points) -> float | None:
-    """RMS of the stated standard deviations, or None where none is stated."""
-    known = points.sd[np.isfinite(points.sd)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else None
-
-
 def _finite(x: Any) -> float | None:
     return float(x) if np.isfinite(x) else None
-
-
-def _plain(x: Any) -> Any:
-    """Plain JSON values: arrays to lists, what is not finite to null."""
-    if isinstance(x, Mapping):
-        return {k: _plain(v) for k, v in x.items()}
-    if isinstance(x, np.ndarray):
-        return _plain(x.tolist())
-    if isinstance(x, list | tuple):
-        return [_plain(v) for v in x]
-    if isinstance(x, float | np.floating):
-        return _finite(x)
-    return int(x) if isinstance(x, np.integer) else x

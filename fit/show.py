@@ -10,15 +10,9 @@ from rich.table import Table
 
 from ljjax.fit.points import UNIT
 from ljjax.fit.result import FitResult
+from ljjax.page import number
 
-_PAPER = {
-    "alpha1": ("gravity.alpha1", "N"),
-    "c1": ("elastic.c1", "N/deg/kPa²"),
-    "c2": ("elastic.c2", "N/deg/kPa"),
-    "c3": ("elastic.c3", "N/deg"),
-    "c4": ("jamming.c4", "N/m"),
-    "c5": ("jamming.c5", "N/m/√kPa"),
-}
+_PAPER = ("alpha1", "c1", "c2", "c3", "c4", "c5")
 
 
 def show(result: FitResult, out: Path, console: Console | None = None) -> None:
@@ -36,7 +30,7 @@ def show(result: FitResult, out: Path, console: Console | None = None) -> None:
     for p in result.parameters.values():
         if p.source != "model":
             colour = "green" if p.verdict == "identifiable" else "yellow"
-            row = (p.name, _number(p.value), _number(p.sd), _number(p.sd_over_pressures), p.unit)
+            row = (p.name, number(p.value), number(p.sd), number(p.sd_over_pressures), p.unit)
             table.add_row(*row, f"[{colour}]{p.verdict}[/{colour}]")
     console.print(table)
 
@@ -46,22 +40,23 @@ def show(result: FitResult, out: Path, console: Console | None = None) -> None:
         for heading in ("", "identified", "± 1 sd", "published"):
             table.add_column(heading, justify="left" if not heading else "right")
         table.add_column("unit")
-        for name, (_, unit) in _PAPER.items():
+        for name in _PAPER:
             if name in paper:
+                unit = paper["units"][name]
                 table.add_row(
                     name,
-                    _number(paper[name], 5),
-                    _number(paper["sd"][name]),
-                    _number(published.get(name), 6),
+                    number(paper[name], 5),
+                    number(paper["sd"][name]),
+                    number(published.get(name), 6),
                     unit,
                 )
         if "c3_without_alpha1" in paper:
             value, sd = paper["c3_without_alpha1"], paper["sd"]["c3_without_alpha1"]
-            table.add_row("c3, no alpha1", _number(value, 5), _number(sd), _number(published.get("c3"), 6), "N/deg")
+            table.add_row("c3, no alpha1", number(value, 5), number(sd), number(published.get("c3"), 6), "N/deg")
         if "r_squared" in paper:
-            table.add_row("R² of K_T", _number(paper["r_squared"], 4), "", _number(published.get("r_squared"), 6), "")
+            table.add_row("R² of K_T", number(paper["r_squared"], 4), "", number(published.get("r_squared"), 6), "")
         if "rmse_n" in paper:
-            table.add_row("RMSE of u", _number(paper["rmse_n"], 4), "", _number(published.get("rmse_n"), 4), "N")
+            table.add_row("RMSE of u", number(paper["rmse_n"], 4), "", number(published.get("rmse_n"), 4), "N")
         console.print(table)
 
     for kind, stage in result.static.stages.items():
@@ -71,7 +66,3 @@ def show(result: FitResult, out: Path, console: Console | None = None) -> None:
     for warning in result.warnings:
         console.print(f"[yellow]beware:[/yellow] {escape(warning)}", soft_wrap=True)
     console.print(f"Report: {escape(str(Path(out) / 'report.html'))}", soft_wrap=True)
-
-
-def _number(x: float | None, digits: int = 3) -> str:
-    return "–" if x is None else f"{x:.{digits}g}" if x == 0 or 1e-4 <= abs(x) < 1e5 else f"{x:.{digits - 1}e}"

@@ -118,4 +118,4 @@ def number(x: float | None, digits: int = 3) -> str:
     """A number for people: `digits` significant figures, a dash for None."""
     if x is None:
         return "–"
-    return f"{x:.{digits}g}" if x == 0 or 1e-3 <= abs(x) < 1e5 else f"{x:.{digits - 1}e}"
+    return f"{x:.{digits}g}" if x == 0 or 1e-4 <= abs(x) < 1e5 else f"{x:.{digits - 1}e}"
