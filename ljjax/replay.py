@@ -14,7 +14,12 @@ from ljjax.simulation import Trajectory, simulate
 
 
 def replay(
-    model: Model, run: Run, *, inputs: Literal["commands", "measured"] = "commands", rtol: float = 1e-6
+    model: Model,
+    run: Run,
+    *,
+    inputs: Literal["commands", "measured"] = "commands",
+    method: Literal["fast", "reference"] = "fast",
+    step_s: float = 0.0025,
 ) -> dict[str, dict[str, Signal]]:
     """Simulate a run from its initial rest, as signals ready for `ljjax.logs.copy_overlay`.
 
@@ -26,7 +31,7 @@ def replay(
     run.signal("shape")
     at = {name: run.signals[name].t for name in ("shape", "tip") if name in run.signals}
     everywhere = np.unique(np.concatenate(list(at.values())))
-    motion = simulate(model, run, at=everywhere, inputs=inputs, rtol=rtol)
+    motion = simulate(model, run, at=everywhere, inputs=inputs, method=method, step_s=step_s)
     sim = {name: _signal(name, motion, model, run, np.searchsorted(everywhere, t), t) for name, t in at.items()}
     residual = {}
     for name in at:

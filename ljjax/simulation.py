@@ -1,4 +1,4 @@
-"""Simulate a run: the reference solution, by diffrax's adaptive, L-stable, fifth-order Kvaerno5."""
+"""Simulate a run: by the fast fixed-step solver, or the reference, diffrax's adaptive, L-stable Kvaerno5."""
 
 from __future__ import annotations
 
@@ -14,15 +14,19 @@ import optimistix
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from ljjax import energy
+from ljjax import energy, fast
 from ljjax._types import Joints, Scalar
 from ljjax.chain import tip_pose
 from ljjax.dynamics import State, pressure_power, rhs, tendon_torque
 from ljjax.errors import InputError, SolverError
+from ljjax.fast import grid
 from ljjax.friction import breakaway, dissipation
 from ljjax.inputs import Inputs, from_run
 from ljjax.logs.run import Run
 from ljjax.model import Model, check
+
+ITERATIONS = 3
+"""Newton iterations a stage of the fast solver: with three, derivatives agree with differences to 1e-6."""
 
 
 class Trajectory(NamedTuple):
@@ -69,6 +73,8 @@ def simulate(
     at: Any = None,
     initial: State | None = None,
     inputs: Literal["commands", "measured"] = "commands",
+    method: Literal["fast", "reference"] = "fast",
+    step_s: float = 0.0025,
     rtol: float = 1e-6,
     atol: float = 1e-8,
     max_steps: int = 1_000_000,
@@ -77,15 +83,21 @@ def simulate(
 ) -> Trajectory:
     """The model's motion under a run's inputs, at given stamps.
 
+    `"fast"` is the fixed-step solver made for this model (`ljjax.step`), differentiable in both modes; `"reference"` is
+    diffrax's adaptive Kvaerno5, much slower, against which it is checked.
+
     Args:
         run: a logged run, or synthetic `Inputs`.
         at: (T,) stamps [s] at which to report; a run's shape stamps, or the inputs' own, by default.
         initial: state at the first of all stamps; by default at rest, in the shape the run shows before its commands
             move (straight for synthetic inputs).
         inputs: drive a logged run by its commands or by its measured tension and pressure.
-        rtol, atol: tolerances of the adaptive step, on q [rad], v [rad/s], z [rad]. float32 takes 1e-4 and 1e-6.
-        max_steps: after which the solver gives up.
-        derivatives: which mode of differentiation is to work (jax.grad, or jax.jvp and jax.jacfwd).
+        method: `"fast"` or `"reference"`. The following but the last are of one of them alone.
+        step_s: (fast) length of a step [s]; inputs are averaged over steps.
+        rtol, atol: (reference) tolerances of the adaptive step, on q [rad], v [rad/s], z [rad]. float32 takes 1e-4
+            and 1e-6.
+        max_steps: (reference) after which the solver gives up.
+        derivatives: (reference) which mode of differentiation is to work (jax.grad, or jax.jvp and jax.jacfwd).
         throw: raise where the solver fails; otherwise `Trajectory.ok` says so, and a batch survives.
 
     Raises:
@@ -110,14 +122,32 @@ def simulate(
     if not isinstance(driven.pressure_kpa, Tracer):
         check(model, np.asarray(driven.pressure_kpa).ravel().tolist(), where)
     initial = rest(model, driven) if initial is None else initial
-    out = _solve(model, driven, initial, jnp.asarray(at, driven.t.dtype), rtol, atol, max_steps, derivatives)
+    stamps = jnp.asarray(at, driven.t.dtype)
+    if method == "fast":
+        if isinstance(driven.t, Tracer) or isinstance(at, Tracer):
+            raise InputError(f"{where}: stamps must be known; under jit or vmap over stamps use ljjax.fast.run")
+        if not step_s > 0:
+            raise InputError(f"{where}: step_s is {step_s}; expected a length > 0 [s]")
+        start, steps = grid(driven, at, step_s)
+        first, h = jnp.asarray(start, stamps.dtype), jnp.asarray(step_s, stamps.dtype)
+        out = _fast(model, driven, initial, stamps, first, h, steps)
+    else:
+        out = _solve(model, driven, initial, stamps, rtol, atol, max_steps, derivatives)
     if throw and not isinstance(out.ok, Tracer) and not bool(jnp.all(out.ok)):
         last = float(out.t[np.isfinite(np.asarray(out.state.q[:, 0]))].max(initial=0.0))
         raise SolverError(
-            f"{where}: the reference solver stopped after t = {last:.4g} s and {int(out.steps)} steps. Try a larger "
-            "max_steps, looser tolerances, or float64 (jax.config.update('jax_enable_x64', True))."
+            f"{where}: the {method} solver failed after t = {last:.4g} s and {int(out.steps)} steps. Try "
+            + ("a smaller step_s" if method == "fast" else "a larger max_steps, looser tolerances")
+            + ", or float64 (jax.config.update('jax_enable_x64', True))."
         )
     return out
+
+
+@eqx.filter_jit
+def _fast(model, inputs, initial, at, start, h, steps) -> Trajectory:
+    state = fast.run(model, inputs, initial, at, start, h, steps, ITERATIONS)
+    finite = jnp.stack([jnp.all(jnp.isfinite(x)) for x in state])
+    return Trajectory(at, state, jnp.all(finite), jnp.asarray(steps))
 
 
 def initial_shape(run: Run, n: int) -> Array:

@@ -168,7 +168,7 @@ REFUSED: dict[str, tuple[str, list[str]]] = {
     "simulate: into nowhere": ("simulate model.toml moving.mcap --out new/new.mcap", ["new/new.mcap: expected"]),
     "simulate: onto a folder": ("simulate model.toml moving.mcap --out empty", ["empty: expected a file name"]),
     "simulate: unknown inputs": ("simulate model.toml moving.mcap --out new.mcap --inputs real", ["--inputs"]),
-    "simulate: no tolerance": ("simulate model.toml moving.mcap --out new.mcap --rtol nan", ["--rtol nan: expected"]),
+    "simulate: no step": ("simulate model.toml moving.mcap --out new.mcap --step-s nan", ["--step-s nan: expected"]),
     "simulate: nothing": ("simulate", ["MODEL", "LOG", "--out"]),
     "info: no log": ("info", ["no log given"]),
     "info: not MCAP": ("info text.mcap", ["text.mcap: ", "not an MCAP"]),
