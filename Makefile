@@ -15,6 +15,8 @@ help: ## what this file can do
 	@echo "Setting up .venv with pinned versions (once; a few minutes on a fresh machine)…"
 	@$(PYTHON) -m venv .venv
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test]"
+	@# Found on the path itself, so that a folder named ljjax in the user's current folder does not shadow it.
+	@ln -sfn "$(CURDIR)/ljjax" "$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/ljjax"
 	@touch $@
 
 setup: .venv/.ready ## the pinned environment in .venv

@@ -7,6 +7,7 @@ measured with a sheath of two layers, its shape locking with five: the example t
 sliding interfaces, from one to four, and assumes a stiction that holds.
 """
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -62,14 +63,22 @@ def main(model: Path, out: Path | None) -> list[float]:
         ax = figure.add_subplot(xlabel="time [s]", ylabel="mean segment angle [deg]")
         for pressure, motion in zip(PRESSURES_KPA, motions, strict=True):
             ax.plot(motion.t, np.degrees(motion.theta), label=f"{pressure:.0f} kPa")
-        ax.legend(frameon=False)
+        ax.axvspan(2, 3, color="0.93")
+        ax.axvspan(4, 5, color="0.93")
+        for x, what in ((0.5, "pull"), (2.5, "vacuum on"), (4.5, "release")):
+            ax.text(x, 0.97, what, ha="center", va="top", transform=ax.get_xaxis_transform())
+        ax.legend(frameon=False, loc="lower right")
         figure.savefig(out, dpi=120)
     return moved
 
 
 if __name__ == "__main__":
-    arguments = sys.argv[1:]
-    picture = Path(arguments[arguments.index("--out") + 1]) if "--out" in arguments else None
-    models = [Path(a) for a in arguments[:1] if a.endswith(".toml")]
     demo = Path("out/demo/fit/model.toml")
-    main(models[0] if models else demo if demo.exists() else OCTROBOT / "nominal.toml", picture)
+    parser = argparse.ArgumentParser(description="Bend, apply vacuum, release.")
+    parser.add_argument("model", nargs="?", type=Path, default=demo if demo.exists() else OCTROBOT / "nominal.toml")
+    parser.add_argument("--out", type=Path, help="picture to draw, such as lock.png")
+    arguments = parser.parse_args()
+    try:
+        main(arguments.model, arguments.out)
+    except ljjax.InputError as error:
+        sys.exit(str(error))

@@ -33,7 +33,7 @@ def tension(result: FitResult, stage: Stage) -> Figure:
         sd = np.nan_to_num(points.sd[mine])
         ax.errorbar(np.degrees(points.theta[mine]), points.value[mine], sd, fmt="o", ms=3.5, color=colour, lw=1)
         curve = predict(result.model, _curve("steady", np.full(len(theta), p), theta))
-        ax.plot(np.degrees(theta), curve, color=colour, lw=1.6, label=f"{p:.3g} kPa")
+        ax.plot(np.degrees(theta), curve, color=colour, lw=1.6, label=f"{round(p, 1):g} kPa")
     ax.set(xlabel="mean segment angle θ [deg]", ylabel="net tension u₁ − u₂ [N]")
     legend(ax, title="vacuum", ncols=1 if len(pressures) < 7 else 2)
     return figure
@@ -48,7 +48,13 @@ def residuals(stage: Stage) -> Figure:
         mine = np.flatnonzero(levels == k)
         mine = mine[np.argsort(points.theta[mine])]
         ax.plot(
-            np.degrees(points.theta[mine]), stage.error[mine], "o-", ms=3.5, lw=1.2, color=colour, label=f"{p:.3g} kPa"
+            np.degrees(points.theta[mine]),
+            stage.error[mine],
+            "o-",
+            ms=3.5,
+            lw=1.2,
+            color=colour,
+            label=f"{round(p, 1):g} kPa",
         )
     if band := points.scatter:
         ax.axhspan(-band, band, color=MUTED, alpha=0.13, lw=0, label="stated scatter ± 1 sd")
@@ -63,10 +69,19 @@ def error_map(stage: Stage) -> Figure:
     figure, ax = axes()
     points = stage.points
     limit = float(np.abs(stage.error).max()) or 1.0
+    order = np.argsort(np.abs(stage.error))  # the largest on top
     drawn = ax.scatter(
-        points.pressure_kpa, np.degrees(points.theta), c=stage.error, cmap="RdBu_r", vmin=-limit, vmax=limit,
-        s=70, marker="s", edgecolors="white", linewidths=0.6,
-    )  # fmt: skip
+        points.pressure_kpa[order],
+        np.degrees(points.theta[order]),
+        c=stage.error[order],
+        cmap="RdBu_r",
+        vmin=-limit,
+        vmax=limit,
+        s=70,
+        marker="s",
+        edgecolors="white",
+        linewidths=0.6,
+    )
     worst = int(np.argmax(np.abs(stage.error)))
     ax.scatter(
         points.pressure_kpa[worst], np.degrees(points.theta[worst]), s=170, marker="s", facecolors="none",
@@ -115,7 +130,7 @@ def left_out(stage: Stage) -> Figure:
 
     ax.bar(at - 0.2, rms(stage.error), 0.38, color=MUTED, alpha=0.6, label="fit on all")
     ax.bar(at + 0.2, rms(stage.held_out), 0.38, color=ACCENT, label="this pressure left out")
-    ax.set_xticks(at, [f"{p:.3g}" for p in pressures])
+    ax.set_xticks(at, [f"{round(p, 1):g}" for p in pressures])
     ax.set(xlabel="vacuum $u_P$ [kPa]", ylabel=f"RMS error [{UNIT[stage.points.kind]}]")
     ax.grid(False, axis="x")
     legend(ax)
@@ -127,7 +142,7 @@ def intervals(result: FitResult) -> Figure:
     fitted = [p for p in result.parameters.values() if p.sd]
     figure, ax = axes(height=0.9 + 0.48 * max(len(fitted), 3))
     for i, p in enumerate(fitted):
-        good = p.verdict == "identifiable"
+        good = p.settled
         size = abs(p.value)
         if p.sd_over_pressures:
             ax.plot(
@@ -171,5 +186,5 @@ def correlation(result: FitResult) -> Figure:
         for j in range(len(short)):
             if np.isfinite(matrix[i, j]):
                 colour = "white" if abs(matrix[i, j]) > 0.6 else INK
-                ax.text(j, i, f"{matrix[i, j]:+.2f}", ha="center", va="center", fontsize=9, color=colour)
+                ax.text(j, i, f"{round(matrix[i, j], 2) + 0.0:.2f}", ha="center", va="center", fontsize=9, color=colour)
     return figure

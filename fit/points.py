@@ -119,8 +119,9 @@ def points_of(run: Run) -> tuple[list[Points], str]:
     single samples, otherwise the slope of force over position in every press.
 
     Raises:
-        InputError: the run has nothing to say about statics, with the reason.
+        InputError: the run has nothing to say about statics, or values in doubt, with the reason.
     """
+    run.trusted()
     found, how = [], []
     if "probe" in run.signals:
         points = _presses(run)
@@ -135,7 +136,9 @@ def points_of(run: Run) -> tuple[list[Points], str]:
     if not found:
         needed = "a shape with tensions and pressure, at rest, or a probe with pressure"
         raise InputError(
-            f"{run.path}: nothing at rest to fit; expected {needed}; it has {', '.join(run.signals) or 'no signals'}"
+            f"{run.path}: nothing at rest to fit; expected {needed} (holds of 0.8 s or more, or samples that "
+            "are points at rest, declared by an experiment that starts with 'steady'); it has "
+            f"{', '.join(run.signals) or 'no signals'}"
         )
     return found, ", ".join(how)
 

@@ -21,7 +21,9 @@ def report(result: FitResult, data: dict[str, Any]) -> str:
     known = sum(p.verdict == "identifiable" for p in fitted)
     counts = ", ".join(f"{len(s.points)} {k} points" for k, s in result.static.stages.items())
     subtitle = f"Identified from {counts} in {len(result.runs)} logs, ljjax {data['version']}"
-    headline = [(f"{known} of {len(fitted)}", "fitted parameters identifiable from these data")]
+    moving = sum(p.unsettled for p in fitted)
+    note = f", {moving} of them moving with the pressures used" if moving else ""
+    headline = [(f"{known} of {len(fitted)}", f"fitted parameters identifiable{note}")]
     for kind, stage in result.static.stages.items():
         unit = data["residuals"][kind]["unit"]
         headline.append((f"{stage.rmse:.3g} {unit}", f"RMS error, {kind} points (R² {stage.r_squared:.3f})"))
@@ -65,7 +67,8 @@ def _figures(result: FitResult) -> list[str]:
         page.figure(
             figures.intervals(result),
             "Intervals",
-            "Line: 95 %, if the model’s form holds; green where it excludes 0. Grey: ± 2 sd over left-out pressures. "
+            "Line: 95 %, if the model’s form holds; green where it excludes 0 and holds over pressures. "
+            "Grey: ± 2 sd over left-out pressures. "
             "Past a dotted line the sign is unknown.",
         )  # fmt: skip
     )
@@ -79,7 +82,7 @@ def _parameters(result: FitResult, data: dict[str, Any]) -> str:
         if p.source == "model":
             continue
         low, high = p.ci95 or (None, None)
-        mark = "good" if p.verdict == "identifiable" else "bad"
+        mark = "good" if p.settled else "bad"
         rows.append(
             [
                 f"<code>{p.name}</code>",
@@ -88,8 +91,8 @@ def _parameters(result: FitResult, data: dict[str, Any]) -> str:
                 f"{number(low)} … {number(high)}",
                 number(p.sd_over_pressures),
                 escape(p.unit),
-                f'<span class="{mark}">{p.verdict}</span>',
-                escape(p.reason),
+                f'<span class="{mark}">{p.judgement}</span>',
+                f'<span class="why">{escape(p.reason)}</span>',
             ]  # fmt: skip
         )
     heads = ["parameter", "value", "± 1 sd", "95 % interval", "± over pressures", "unit", "verdict", "why"]
@@ -131,7 +134,15 @@ def _errors(result: FitResult, data: dict[str, Any]) -> str:
             error = stage.error[levels == k]
             rms = float(np.sqrt(np.mean(error**2)))
             rows.append(
-                [kind, number(p), str(len(error)), number(rms), number(float(error.mean())), number(out), held["unit"]]
+                [
+                    kind,
+                    number(round(p, 1)),
+                    str(len(error)),
+                    number(rms),
+                    number(float(error.mean())),
+                    number(out),
+                    held["unit"],
+                ]
             )
     heads = ["points", "u_P [kPa]", "count", "RMS error", "mean error", "RMS, left out", "unit"]
     return page.table(heads, rows, numeric=(1, 2, 3, 4, 5))

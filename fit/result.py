@@ -14,6 +14,7 @@ import numpy as np
 from scipy import stats
 
 from ljjax import modelfile
+from ljjax.fit.paper import PUBLISHED_FOR
 from ljjax.fit.points import UNIT
 from ljjax.fit.static import Stage, StaticFit
 from ljjax.logs import Run, Signal, copy_overlay
@@ -21,6 +22,8 @@ from ljjax.model import UNITS, get
 from ljjax.modelfile import ModelFile
 from ljjax.outputs import artefacts
 
+NOMINAL = f"{PUBLISHED_FOR}'s geometry and assumed friction (nominal.toml)"
+"""Where a fit without a model begins."""
 UNSTABLE = 3.0
 """A parameter whose deviation over left-out pressure levels is this many times its standard deviation is flagged."""
 
@@ -47,6 +50,21 @@ class Parameter:
     reason: str
     source: str
 
+    @property
+    def unsettled(self) -> bool:
+        """Whether it moves with the pressures used by more than its standard deviation can mean."""
+        return bool(self.sd and self.sd_over_pressures and self.sd_over_pressures > UNSTABLE * self.sd)
+
+    @property
+    def judgement(self) -> str:
+        """The verdict in words for people."""
+        return self.verdict + (", moves with pressures" if self.unsettled and self.verdict == "identifiable" else "")
+
+    @property
+    def settled(self) -> bool:
+        """Identifiable, and not moved by the choice of pressures."""
+        return self.judgement == "identifiable"
+
 
 @dataclass(frozen=True, eq=False)
 class FitResult:
@@ -65,6 +83,13 @@ class FitResult:
     runs: Sequence[Run]
     said: Sequence[str]
     options: Mapping[str, Any]
+
+    def __repr__(self) -> str:
+        fitted = [p for p in self.parameters.values() if p.source != "model"]
+        rows = "\n".join(
+            f"  {p.name} = {p.value:.4g} ± {p.sd or float('nan'):.2g} {p.unit} ({p.judgement})" for p in fitted
+        )
+        return f"FitResult of {len(self.runs)} runs:\n{rows}"
 
     @property
     def model(self):
@@ -137,6 +162,11 @@ class FitResult:
         out = [line.removeprefix("left out: ") for line in self.said if line.startswith("left out: ")]
         out += [f"{r.path}: partial: {r.damage.why} at {r.damage.where}" for r in self.runs if r.damage]
         out += self.static.warnings
+        if self.start_from == NOMINAL and any(r.robot_id != PUBLISHED_FOR for r in self.runs):
+            out.append(
+                "no model given: geometry, mass, friction and all that was not fitted are OctRobot-I's, not this "
+                "robot's; give yours with --model"
+            )
         if (steady := self.static.stages.get("steady")) and np.any(steady.points.hold):
             held = int(np.sum(steady.points.hold))
             out.append(
@@ -144,7 +174,7 @@ class FitResult:
                 "the lever arm; it averages out only if holds are approached from both sides"
             )
         for kind, stage in self.static.stages.items():
-            loose = [p for p in map(self.parameters.get, stage.names) if p and _unstable(p)]
+            loose = [p for p in map(self.parameters.get, stage.names) if p and p.unsettled]
             if loose:
                 factor = max(p.sd_over_pressures / p.sd for p in loose if p.sd and p.sd_over_pressures)
                 out.append(
@@ -226,10 +256,6 @@ class FitResult:
             sim[name] = Signal(t, base, other.columns, other.unit, "")
             residual[name] = Signal(t, difference, other.columns, other.unit, "")
         return {"/sim": sim, "/residual": residual}
-
-
-def _unstable(p: Parameter) -> bool:
-    return bool(p.sd and p.sd_over_pressures and p.sd_over_pressures > UNSTABLE * p.sd)
 
 
 def _finite(x: Any) -> float | None:

@@ -8,13 +8,11 @@ from ljjax import modelfile
 from ljjax.data import OCTROBOT
 from ljjax.errors import InputError
 from ljjax.fit.points import collect
-from ljjax.fit.result import FitResult
+from ljjax.fit.result import NOMINAL, FitResult
 from ljjax.fit.static import Constraints, Weights, fit_static
 from ljjax.logs import Run
 from ljjax.model import UNITS, check
 from ljjax.modelfile import ModelFile
-
-NOMINAL = OCTROBOT / "nominal.toml"
 
 
 def fit(
@@ -48,10 +46,7 @@ def fit(
     if len(robots) > 1:
         raise InputError(f"logs of {len(robots)} robots ({', '.join(robots)}); fit one robot at a time")
     if model is None:
-        model, model_from = (
-            modelfile.load(NOMINAL),
-            "OctRobot-I's geometry and assumed friction (nominal.toml)",
-        )
+        model, model_from = modelfile.load(OCTROBOT / "nominal.toml"), NOMINAL
     held = tuple(dict.fromkeys((*model.frozen, *frozen)))
     steady, probe, said = collect(runs)
     static = fit_static(model.model, steady, probe, frozen=held, weights=weights, constraints=constraints)

@@ -29,9 +29,9 @@ def show(result: FitResult, out: Path, console: Console | None = None) -> None:
     table.add_column("verdict")
     for p in result.parameters.values():
         if p.source != "model":
-            colour = "green" if p.verdict == "identifiable" else "yellow"
+            colour = "green" if p.settled else "yellow"
             row = (p.name, number(p.value), number(p.sd), number(p.sd_over_pressures), p.unit)
-            table.add_row(*row, f"[{colour}]{p.verdict}[/{colour}]")
+            table.add_row(*row, f"[{colour}]{p.judgement}[/{colour}]")
     console.print(table)
 
     paper, published = data["paper"], data["paper"].get("published", {})

@@ -64,8 +64,9 @@ def from_run(run: Run, source: Literal["commands", "measured"] = "commands") -> 
     Stamps at which nothing changes are left out of held inputs.
 
     Raises:
-        InputError: the run lacks the signals, naming them.
+        InputError: the run lacks the signals, naming them, or their values cannot be in the contract's units.
     """
+    run.trusted()
     if source == "commands":
         tendons, pressure = run.signal("cmd_tendons"), run.vacuum_kpa("cmd_pressure")
         t = np.union1d(tendons.t, pressure.t)

@@ -50,6 +50,7 @@ th,td{padding:7px 12px;text-align:left;border-bottom:1px solid #eef1f4;vertical-
 th{color:#5d6b7a;font-weight:600;white-space:nowrap}tr:last-child td{border-bottom:0}
 td.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}th.n{text-align:right}
 .good{color:#1b7f4b;font-weight:600}.bad{color:#a75b00;font-weight:600}code{font-size:.86em}td code{white-space:nowrap}
+.why{display:inline-block;min-width:15rem}
 @media(max-width:520px){main{padding:16px 12px 40px}h1{font-size:1.4rem}th,td{padding:6px 8px}}
 """
 

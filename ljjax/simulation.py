@@ -136,7 +136,7 @@ def simulate(
     if throw and not isinstance(out.ok, Tracer) and not bool(jnp.all(out.ok)):
         last = float(out.t[np.isfinite(np.asarray(out.state.q[:, 0]))].max(initial=0.0))
         raise SolverError(
-            f"{where}: the {method} solver failed after t = {last:.4g} s and {int(out.steps)} steps. Try "
+            f"{where}: the {method} solver stopped after t = {last:.4g} s and {int(out.steps)} steps. Try "
             + ("a smaller step_s" if method == "fast" else "a larger max_steps, looser tolerances")
             + ", or float64 (jax.config.update('jax_enable_x64', True))."
         )

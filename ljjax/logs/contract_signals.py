@@ -194,21 +194,34 @@ def _names(path: str, entry: contract.Entry, topic: str, name: tuple[str, ...]) 
     )
 
 
-def plausible(found: dict[str, Samples], notes: list[str]) -> None:
-    """Notes on values that suggest another unit than the contract's."""
+def doubts(found: dict[str, Samples], p_atm: str) -> list[str]:
+    """Values that cannot be in the contract's units, a line each; `p_atm` is the run's atmospheric pressure [Pa]."""
+    out = []
+    mend = "mend it with a mapping file (docs/logs.md)"
     for name in ("cmd_pressure", "pressure"):
         s = found.get(name)
-        if s is not None and not (s.value.min() > -2e3 and 2e3 < s.value.max() < 5e5):
-            notes.append(
-                f"{s.topic}: {s.value.min():.6g} to {s.value.max():.6g} is no absolute pressure in Pa; if it is gauge "
-                "or kPa, read the log with a mapping file"
+        if s is None:
+            continue
+        low, high = float(s.value.min()), float(s.value.max())
+        if not (low > -2e3 and 2e3 < high < 5e5):
+            out.append(f"{s.topic}: {low:.6g} to {high:.6g} is no absolute pressure in Pa; is it gauge or kPa? {mend}")
+        elif _is_number(p_atm) and high > float(p_atm) + 5e3:
+            out.append(
+                f"{s.topic}: up to {high:.6g} Pa, above the atmosphere's {p_atm} Pa; is a sign or reference wrong? "
+                f"{mend}"
             )
-    for name in ("cmd_tendons", "tendons"):
-        s = found.get(name)
-        if name == "cmd_tendons" and s is not None and s.value.min() < 0:
-            notes.append(f"{s.topic}: commanded tension down to {s.value.min():.6g} N; the contract wants ≥ 0")
+    s = found.get("cmd_tendons")
+    if s is not None and s.value.min() < -0.01:
+        out.append(f"{s.topic}: commanded tension down to {s.value.min():.6g} N, and tendons only pull; {mend}")
     s = found.get("shape")
-    if s is not None and np.abs(s.value).max() > 4 * np.pi:
-        notes.append(
-            f"{s.topic}: angles up to {np.abs(s.value).max():.4g} rad; if they are degrees, read it with a mapping file"
-        )
+    if s is not None and np.abs(s.value).max() > np.pi:
+        high = float(np.abs(s.value).max())
+        out.append(f"{s.topic}: {high:.4g} rad is over half a turn in one segment; is it in degrees? {mend}")
+    return out
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return np.isfinite(float(text))
+    except ValueError:
+        return False

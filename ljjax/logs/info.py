@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 # use → what it needs: any one signal of each group
 USES: dict[str, tuple[tuple[str, ...], ...]] = {
     "replay (ljjax simulate)": (("cmd_tendons",), ("cmd_pressure",), ("shape",)),
-    "dynamic fit": (("cmd_tendons",), ("cmd_pressure",), ("shape",)),
     "steady fit": (("tendons", "cmd_tendons"), ("pressure", "cmd_pressure"), ("shape",)),
     "stiffness fit": (("probe",), ("pressure", "cmd_pressure")),
 }
@@ -76,7 +75,10 @@ def show(run: Run, console: Console, other_topics: dict[str, int] | None = None)
     for note in run.notes:
         console.print(Text(f"note: {note}", style="yellow"))
     for use, lacking in missing_for(run).items():
-        answer = Text("✗ lacks " + ", ".join(lacking), style="red") if lacking else Text("✓", style="green")
+        if lacking:
+            answer = Text("✗ lacks " + ", ".join(lacking), style="red")
+        else:
+            answer = Text("✗ values in doubt, see the notes", "red") if run.doubts else Text("✓", "green")
         console.print(Text(f"{use:25}").append(answer))
 
 

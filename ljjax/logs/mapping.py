@@ -121,8 +121,8 @@ class _Reader:
             raise self.fail("", "schema", f"is {table.get('schema')!r}, expected {SCHEMA!r}")
         run = self.table("", "run", table.get("run", {}))
         signals = self.table("", "signals", table.get("signals", {}))
-        if not signals:
-            raise self.fail("", "signals", "is empty; expected at least one, such as [signals.theta]")
+        if not signals and not run:
+            raise self.fail("", "signals", "is empty; expected at least one, such as [signals.theta], or a [run] table")
         sources = {name: self.source(name, self.table("signals", name, entry)) for name, entry in signals.items()}
         self.whole(sources)
         return Mapping(self.name, self.run(run), sources)

@@ -23,7 +23,8 @@ def read(path: PathLike, mapping: Mapping | PathLike | None = None, *, prefix: s
 
     Args:
         path: an MCAP file.
-        mapping: how to read a log that does not follow the contract; then only what it names is read.
+        mapping: how to read a log that does not follow the contract; then only what it names is read. One without
+            signals states metadata alone, for a log whose topics follow the contract.
         prefix: `/real`, or `/sim` and `/residual` in a result. Ignored with a mapping.
 
     Raises InputError where there is no such file, it is no MCAP file, it follows another contract, a used
@@ -31,11 +32,12 @@ def read(path: PathLike, mapping: Mapping | PathLike | None = None, *, prefix: s
     """
     if mapping is not None and not isinstance(mapping, Mapping):
         mapping = load_mapping(mapping)
-    topics = mapping.topics if mapping is not None else contract_signals.topics(prefix)
+    mapped = mapping is not None and bool(mapping.sources)
+    topics = mapping.topics if mapping is not None and mapped else contract_signals.topics(prefix)
     box = scan(path, topics.__contains__)
     notes = list(box.notes)
     metadata = _metadata(box, mapping, notes)
-    if mapping is not None:
+    if mapping is not None and mapped:
         from ljjax.logs.mapped_signals import read as read_mapped
 
         found = read_mapped(box, mapping, metadata, notes)
@@ -43,12 +45,13 @@ def read(path: PathLike, mapping: Mapping | PathLike | None = None, *, prefix: s
         found = contract_signals.read(box, prefix, notes)
     found = {name: s for name, s in found.items() if len(s)}
     if not found:
-        raise InputError(_nothing(box, mapping, prefix))
+        raise InputError(_nothing(box, mapping if mapped else None, prefix))
     for name, s in found.items():
         samples.check_clock(s, box.path)
         samples.check_finite(s, box.path)
         found[name] = samples.in_order(s, notes)
-    contract_signals.plausible(found, notes)
+    doubts = contract_signals.doubts(found, metadata.get("p_atm_pa", ""))
+    notes += doubts
     t0_ns, signals = samples.as_signals(found)
     return Run(
         path=box.path,
@@ -58,6 +61,7 @@ def read(path: PathLike, mapping: Mapping | PathLike | None = None, *, prefix: s
         metadata=MappingProxyType(metadata),
         damage=box.damage,
         notes=tuple(dict.fromkeys(notes)),
+        doubts=tuple(doubts),
     )
 
 

@@ -74,6 +74,9 @@ class Run:
     Signal names, shapes and units (contract v1): `cmd_tendons` (N, 2) N, `tendons` (N, 2) N, `spool` (N, 2) m,
     `cmd_pressure` (N, 1) Pa absolute, `pressure` (N, 1) Pa absolute, `shape` (N, 1 or n) rad, `tip` (N, 7)
     position m and quaternion xyzw, `probe` (N, 2) position m and force N, `temperature` (N, 1) °C.
+
+    `notes` say what a reader should know; those among them in `doubts` say that values cannot be what the contract
+    says they are (degrees for radians, kPa for Pa, a wrong sign), and nothing should be computed from them.
     """
 
     path: str
@@ -83,6 +86,7 @@ class Run:
     metadata: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     damage: Damage | None = None
     notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @property
     def run_id(self) -> str:
@@ -107,9 +111,14 @@ class Run:
         if not 2e4 < value < 1.2e5:
             raise InputError(
                 f"{self.path}: metadata ljjax.run: p_atm_pa is {text!r}; expected the atmospheric pressure in Pa, "
-                "such as '101325'"
+                "such as '101325'; a mapping file with [run] p_atm_pa states it for a log that does not"
             )
         return value
+
+    def trusted(self) -> None:
+        """Raises InputError where the run's values cannot be in the contract's units."""
+        if self.doubts:
+            raise InputError(f"{self.path}: {self.doubts[0]}")
 
     def signal(self, *names: str) -> Signal:
         """The first of `names` that the run has. Raises InputError naming what is missing."""

@@ -37,6 +37,15 @@ def test_the_python_shown_runs(tmp_path):
     assert "jamming.c5" in done.stdout and "identifiable" in done.stdout
 
 
+def test_the_log_shown_in_the_docs_can_be_written_and_fitted(tmp_path):
+    text = (ROOT / "docs" / "logs.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    code += "\nfrom ljjax.fit import fit\nprint(fit(None, [run]))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "elastic.c2 = " in done.stdout
+
+
 def test_every_link_leads_somewhere():
     for path in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
         for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", path.read_text(encoding="utf-8")):

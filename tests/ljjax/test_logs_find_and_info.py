@@ -74,7 +74,7 @@ def test_find_names_what_is_missing(tmp_path: Path, name: str):
 
 
 USES = {
-    ("cmd_tendons", "cmd_pressure", "shape"): {"replay (ljjax simulate)", "dynamic fit", "steady fit"},
+    ("cmd_tendons", "cmd_pressure", "shape"): {"replay (ljjax simulate)", "steady fit"},
     ("tendons", "pressure", "shape"): {"steady fit"},
     ("tendons", "pressure", "probe"): {"stiffness fit"},
     ("shape",): set(),

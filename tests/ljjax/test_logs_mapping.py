@@ -11,7 +11,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, ti
 from mcap.writer import Writer as McapWriter
 
 from ljjax.errors import InputError
-from ljjax.logs import cdr, contract, load_mapping, read
+from ljjax.logs import Writer, cdr, contract, load_mapping, read
 
 T0 = 1_700_000_000_000_000_000
 STEP = 20_000_000
@@ -207,7 +207,6 @@ BAD = {
     "half a pair": (signal("tendon_left", **THETA | {"unit": "N"}), "goes together with tendon_right"),
     "gap in segments": (signal("q1", **THETA) + signal("q3", **THETA), "without a gap"),
     "theta and q1": (signal("q1", **THETA) + signal("theta", **THETA), "not both"),
-    "nothing": ("", "signals: is empty"),
     "no TOML": ("= 3", "is no TOML"),
     "no such joint": (signal("theta", **THETA | {"path": "position[name=c]"}), "'c' 0 times in name"),
     "no such field": (signal("theta", **THETA | {"path": "angle"}), "has no angle"),
@@ -250,3 +249,52 @@ def test_another_version_and_a_missing_file(log: Path):
 def test_the_example_is_a_mapping():
     path = Path(__file__).parents[2] / "examples" / "mapping.toml"
     assert {"cmd_tendon_left", "pressure", "theta"} <= set(load_mapping(path).sources)
+
+
+def test_a_mapping_without_signals_states_metadata_for_a_contract_log(tmp_path: Path):
+    """A log cut short has lost its metadata; its topics are the contract's all the same."""
+    path = tmp_path / "run.mcap"
+    meta = {
+        "run_id": "1",
+        "robot_id": "r",
+        "experiment": "e",
+        "p_atm_pa": "100000",
+        "start_utc": "2026-01-01T00:00:00Z",
+    }
+    with Writer(path, meta) as log:
+        log.write("pressure", 10**18, [9e4])
+    stated = tmp_path / "m.toml"
+    stated.write_text('schema = "ljjax.mapping/1"\n[run]\np_atm_pa = "101000"\n', encoding="utf-8")
+    run = read(path, stated)
+    assert (run.p_atm_pa, run.robot_id, run.vacuum_kpa("pressure").value[0, 0]) == (101000.0, "r", 11.0)
+    stated.write_text('schema = "ljjax.mapping/1"\n', encoding="utf-8")
+    with pytest.raises(InputError, match="signals: is empty"):
+        read(path, stated)
+
+
+DOUBTS = {
+    "angles in degrees": ("shape", [[2.0], [15.0]], "degrees"),
+    "vacuum in kPa": ("pressure", [[0.0], [40.0]], "no absolute pressure"),
+    "gauge turned round": ("pressure", [[1.0e5], [1.4e5]], "above the atmosphere"),
+    "a tendon that pushes": ("cmd_tendons", [[1.0, 0.0], [-5.0, 0.0]], "only pull"),
+}
+
+
+@pytest.mark.parametrize("case", DOUBTS)
+def test_values_that_cannot_be_in_the_contracts_units_are_doubted(tmp_path: Path, case: str):
+    signal, values, said = DOUBTS[case]
+    path = tmp_path / "run.mcap"
+    meta = {
+        "run_id": "1",
+        "robot_id": "r",
+        "experiment": "e",
+        "p_atm_pa": "100000",
+        "start_utc": "2026-01-01T00:00:00Z",
+    }
+    with Writer(path, meta) as log:
+        for i, value in enumerate(values):
+            log.write(signal, 10**18 + i, value)
+    run = read(path)
+    assert any(said in doubt for doubt in run.doubts) and set(run.doubts) <= set(run.notes)
+    with pytest.raises(InputError, match=said):
+        run.trusted()

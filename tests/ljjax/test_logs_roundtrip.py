@@ -37,7 +37,7 @@ N = 40
 
 
 def sample(signal: str, i: int) -> list[float]:
-    scale = 6e3 if "pressure" in signal else 1.0
+    scale = 6e3 if "pressure" in signal else 0.1 if signal == "shape" else 1.0
     return [scale * (math.sin(0.1 * i + j) + 2 + len(signal)) for j in range(SIZES[signal])]
 
 
