@@ -88,16 +88,16 @@ def _parameters(result: FitResult, data: dict[str, Any]) -> str:
                 f"<code>{p.name}</code>",
                 number(p.value, 4),
                 number(p.sd),
-                f"{number(low)} … {number(high)}",
-                number(p.sd_over_pressures),
                 escape(p.unit),
                 f'<span class="{mark}">{p.judgement}</span>',
+                f"{number(low)} … {number(high)}",
+                number(p.sd_over_pressures),
                 f'<span class="why">{escape(p.reason)}</span>',
             ]  # fmt: skip
         )
-    heads = ["parameter", "value", "± 1 sd", "95 % interval", "± over pressures", "unit", "verdict", "why"]
+    heads = ["parameter", "value", "± 1 sd", "unit", "verdict", "95 % interval", "± over pressures", "why"]
     note = f"<p class='sub'>SI, with lever arm {data['lever_arm_m']:g} m; gauge {escape(data['gauge'])}.</p>"
-    return note + page.table(heads, rows, numeric=(1, 2, 3, 4))
+    return note + page.table(heads, rows, numeric=(1, 2, 5, 6))
 
 
 def _paper(data: dict[str, Any]) -> str:
