@@ -251,18 +251,18 @@ def test_the_example_is_a_mapping():
     assert {"cmd_tendon_left", "pressure", "theta"} <= set(load_mapping(path).sources)
 
 
+def written(path: Path, signal: str, values: list[list[float]]) -> None:
+    """A log of the contract with one signal."""
+    meta = {"run_id": "1", "robot_id": "r", "experiment": "e", "p_atm_pa": "1e5", "start_utc": "2026-01-01T00:00:00Z"}
+    with Writer(path, meta) as log:
+        for i, value in enumerate(values):
+            log.write(signal, 10**18 + i, value)
+
+
 def test_a_mapping_without_signals_states_metadata_for_a_contract_log(tmp_path: Path):
     """A log cut short has lost its metadata; its topics are the contract's all the same."""
     path = tmp_path / "run.mcap"
-    meta = {
-        "run_id": "1",
-        "robot_id": "r",
-        "experiment": "e",
-        "p_atm_pa": "100000",
-        "start_utc": "2026-01-01T00:00:00Z",
-    }
-    with Writer(path, meta) as log:
-        log.write("pressure", 10**18, [9e4])
+    written(path, "pressure", [[9e4]])
     stated = tmp_path / "m.toml"
     stated.write_text('schema = "ljjax.mapping/1"\n[run]\np_atm_pa = "101000"\n', encoding="utf-8")
     run = read(path, stated)
@@ -284,16 +284,7 @@ DOUBTS = {
 def test_values_that_cannot_be_in_the_contracts_units_are_doubted(tmp_path: Path, case: str):
     signal, values, said = DOUBTS[case]
     path = tmp_path / "run.mcap"
-    meta = {
-        "run_id": "1",
-        "robot_id": "r",
-        "experiment": "e",
-        "p_atm_pa": "100000",
-        "start_utc": "2026-01-01T00:00:00Z",
-    }
-    with Writer(path, meta) as log:
-        for i, value in enumerate(values):
-            log.write(signal, 10**18 + i, value)
+    written(path, signal, values)
     run = read(path)
     assert any(said in doubt for doubt in run.doubts) and set(run.doubts) <= set(run.notes)
     with pytest.raises(InputError, match=said):
