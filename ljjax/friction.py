@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from ljjax._types import Joints, Scalar
 from ljjax.model import Friction, Model
 
 
-def stribeck(friction: Friction, v: Joints) -> Joints:
-    """ρ(v) = μ_C + (μ_S − μ_C) exp(−|v/v_s|^σ₃), differentiable at v = 0 for σ₃ ≥ 1."""
+def stribeck(friction: Friction, v: Float[Array, "..."]) -> Float[Array, "..."]:
+    """ρ(v) = μ_C + (μ_S − μ_C) exp(−|v/v_s|^σ₃), elementwise, differentiable at v = 0 for σ₃ ≥ 1."""
     x = jnp.abs(v / friction.v_s)
     tiny = x < 1e-30  # |x|^σ₃ and its derivatives vanish here; the logarithm would not
     log_power = friction.sigma3 * jnp.log(jnp.where(tiny, jnp.ones_like(x), x))

@@ -19,14 +19,13 @@ from ljjax._types import Joints, Scalar
 from ljjax.chain import tip_pose
 from ljjax.dynamics import State, pressure_power, rhs, tendon_torque
 from ljjax.errors import InputError, SolverError
-from ljjax.fast import grid
 from ljjax.friction import breakaway, dissipation
 from ljjax.inputs import Inputs, from_run
 from ljjax.logs.run import Run
 from ljjax.model import Model, check
 
 ITERATIONS = 3
-"""Newton iterations a stage of the fast solver: with three, derivatives agree with differences to 1e-6."""
+"""Newton iterations a stage of the fast solver: two simulate as well, the third is for derivatives."""
 
 
 class Trajectory(NamedTuple):
@@ -128,11 +127,13 @@ def simulate(
             raise InputError(f"{where}: stamps must be known; under jit or vmap over stamps use ljjax.fast.run")
         if not step_s > 0:
             raise InputError(f"{where}: step_s is {step_s}; expected a length > 0 [s]")
-        start, steps = grid(driven, at, step_s)
+        start, steps = fast.grid(driven, at, step_s)
         first, h = jnp.asarray(start, stamps.dtype), jnp.asarray(step_s, stamps.dtype)
         out = _fast(model, driven, initial, stamps, first, h, steps)
-    else:
+    elif method == "reference":
         out = _solve(model, driven, initial, stamps, rtol, atol, max_steps, derivatives)
+    else:
+        raise InputError(f"method is {method!r}; expected 'fast' or 'reference'")
     if throw and not isinstance(out.ok, Tracer) and not bool(jnp.all(out.ok)):
         last = float(out.t[np.isfinite(np.asarray(out.state.q[:, 0]))].max(initial=0.0))
         raise SolverError(

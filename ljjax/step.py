@@ -28,6 +28,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ljjax.chain import inertia_constants
+from ljjax.friction import stribeck
 from ljjax.model import Friction, Model
 
 GAMMA = 1 - 1 / math.sqrt(2)
@@ -155,13 +156,8 @@ def _joint(stage: _Stage, i: int, v: Array, side: Array) -> tuple[Array, Array]:
     """Torque that depends on joint i alone (friction and elasticity) [N·m], and z [rad], at the rate v; `side` is the
     sign of v, or at 0 the side whose slope to take."""
     f = stage.friction
-    x = jnp.abs(v) / f.v_s
-    tiny = x < 1e-30
-    log_power = jnp.minimum(f.sigma3 * jnp.log(jnp.where(tiny, jnp.ones_like(x), x)), 5.0)
-    power = jnp.where(tiny, 0.0 * x, jnp.exp(log_power))
-    rho = f.mu_c + (f.mu_s - f.mu_c) * jnp.exp(-power)
     start = stage.base.z[i]
-    z = (start + stage.s * v) / (1 + stage.s * f.sigma0 * (side * v) / rho)
+    z = (start + stage.s * v) / (1 + stage.s * f.sigma0 * (side * v) / stribeck(f, v))
     friction = stage.phi * (f.sigma0 * z + f.sigma1 * (z - start) / stage.s + f.sigma2 * v)
     return friction + stage.alpha2 * (stage.base.q[i] + stage.s * v), z
 

@@ -14,7 +14,7 @@ from ljjax.dynamics import State, lever_arm, rhs
 from ljjax.errors import InputError, SolverError
 from ljjax.inputs import Inputs
 from ljjax.model import astype, get, replace
-from ljjax.simulation import rest, simulate
+from ljjax.simulation import ITERATIONS, rest, simulate
 
 AT = np.linspace(0.0, 1.0, 21)
 LEARNED = (
@@ -113,7 +113,9 @@ def test_derivatives_against_differences(robot, case):
     @jax.jit
     def theta(x):
         changed = replace(model, dict(zip(LEARNED, x, strict=True)))
-        return fast.run(changed, inputs, initial, at, jnp.asarray(0.0), jnp.asarray(0.005), 200, 4).q.mean(axis=1)
+        return fast.run(changed, inputs, initial, at, jnp.asarray(0.0), jnp.asarray(0.005), 200, ITERATIONS).q.mean(
+            axis=1
+        )
 
     jacobian = np.asarray(jax.jit(jax.jacfwd(theta))(x0))
     for i, name in enumerate(LEARNED):
