@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 OCTROBOT := ljjax/data/octrobot
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check data clean
+.PHONY: help setup demo test check data recovery clean
 
 help: ## what this file can do
 	@sed -n 's/^\([a-z]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -34,6 +34,9 @@ test: check ## everything that must hold, in under 20 minutes on two cores
 
 data: .venv/.ready ## make the bundled MCAP logs anew from the published tables
 	$(BIN)/python -m ljjax.data.make_octrobot_logs
+
+recovery: .venv/.ready ## identify 40 simulated robots and compare with the truth; writes out/recovery/
+	$(BIN)/python -m benchmarks.recovery.study
 
 clean: ## remove what the commands above made
 	rm -rf .venv out build dist *.egg-info .pytest_cache .ruff_cache .hypothesis

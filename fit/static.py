@@ -106,6 +106,11 @@ def _value_and_jacobian(model, names: tuple[str, ...], x, steady: bool, theta, p
     return f(x), jax.jacfwd(f)(x)
 
 
+def value_and_jacobian(model: Model, points: Points, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) the model's values at the points, and their derivatives (N, k) by the parameters `names`."""
+    return _evaluate(model, points, tuple(names), _values(model, tuple(names)))
+
+
 def fit_static(
     model: Model,
     steady: Points,

@@ -62,7 +62,7 @@ _ROOMS = ("fit", "gap", "control", "rig")
 def __getattr__(name: str) -> Any:
     import importlib
 
-    if name in _ROOMS:
+    if name in (*_ROOMS, "sweep"):
         return importlib.import_module(f"ljjax.{name}")
     if name in _HOME:
         module, attribute = _HOME[name]
@@ -71,4 +71,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*__all__, *_ROOMS])
+    return sorted([*__all__, *_ROOMS, "sweep"])

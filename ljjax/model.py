@@ -15,6 +15,7 @@ import numpy as np
 from jax.core import Tracer
 
 from ljjax._types import Joints, Scalar
+from ljjax.effect import Effect
 from ljjax.errors import InputError
 
 
@@ -77,6 +78,7 @@ class Model(eqx.Module):
         chain, gravity, elastic, jamming, friction: the tables of `model.toml`.
         constant_mass: use M(0) for every shape (faster, no Coriolis forces). Off by default.
         lever: g(q) in G(q) = g(q)[1, −1] [m], from q (n,) to a scalar; None means g = `chain.lever_arm_m`.
+        effects: unmodelled effects added to the model, in the order in which they hook in (`ljjax.effect`).
     """
 
     chain: Chain
@@ -84,6 +86,7 @@ class Model(eqx.Module):
     elastic: Elastic
     jamming: Jamming
     friction: Friction
+    effects: tuple[Effect, ...] = ()
     constant_mass: bool = eqx.field(static=True, default=False)
     lever: Callable[[Joints], Scalar] | None = eqx.field(static=True, default=None)
 
@@ -113,10 +116,11 @@ def get(model: Model, path: str) -> jax.Array:
     """The parameter at `path`: a scalar, or an array over the elements of a batched model. Raises InputError for a name
     that is none."""
     _known(path)
-    return _leaf(model, path)
+    return leaf(model, path)
 
 
-def _leaf(model: Model, path: str) -> Any:
+def leaf(model: Model, path: str) -> Any:
+    """What stands at a parameter's path, whatever it is (for `equinox.tree_at`)."""
     table, name = path.split(".")
     return getattr(getattr(model, table), name)
 
@@ -129,7 +133,7 @@ def replace(model: Model, values: Mapping[str, Any]) -> Model:
         return model
     paths = list(values)
     new = [jnp.asarray(values[p], dtype=get(model, p).dtype) for p in paths]
-    return eqx.tree_at(lambda m: [_leaf(m, p) for p in paths], model, new)
+    return eqx.tree_at(lambda m: [leaf(m, p) for p in paths], model, new)
 
 
 def in_gauge(model: Model) -> Model:

@@ -46,7 +46,7 @@ def replay(
 def _signal(name: str, motion: Trajectory, model: Model, run: Run, index: np.ndarray, t: np.ndarray) -> Signal:
     logged = run.signals[name]
     if name == "shape":
-        q = np.asarray(motion.state.q)[index]
+        q = np.asarray(motion.seen)[index]
         if logged.columns != ("theta",):
             return Signal(t, q, logged.columns, "rad", "")
         return Signal(t, q.mean(axis=1, keepdims=True), ("theta",), "rad", "")

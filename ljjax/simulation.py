@@ -19,13 +19,18 @@ from ljjax._types import Joints, Scalar
 from ljjax.chain import tip_pose
 from ljjax.dynamics import State, pressure_power, rhs, tendon_torque
 from ljjax.errors import InputError, SolverError
-from ljjax.friction import breakaway, dissipation
+from ljjax.friction import dissipation
 from ljjax.inputs import Inputs, from_run
 from ljjax.logs.run import Run
 from ljjax.model import Model, check
+from ljjax.step import Drive, at_rest, unroll
 
 ITERATIONS = 3
 """Newton iterations a stage of the fast solver: two simulate as well, the third is for derivatives."""
+
+
+SENSITIVE_RAD = 1e-3
+"""A motion that halving the step moves by more than this is flagged: at 2.5 ms others move by 1e-5 to 1e-4."""
 
 
 class Trajectory(NamedTuple):
@@ -36,12 +41,22 @@ class Trajectory(NamedTuple):
         state: q, v, z, each (T, n).
         ok: whether the solver reached the last stamp; where False the states after the failure are not finite.
         steps: steps the solver took.
+        seen: (T, n) the joint angles that are logged [rad]: q, but for effects of sensing.
+        error: the largest error of an angle [rad], by step halving; None where that was not asked for.
     """
 
     t: Float[Array, "*batch T"]
     state: State
     ok: Bool[Array, "*batch"]
     steps: Array
+    seen: Array
+    error: Array | None = None
+
+    @property
+    def sensitive(self) -> Array | None:
+        """Whether the motion depends on the step by more than `SENSITIVE_RAD`: stick-slip, as a rule. Such a run is
+        one of many that the model allows; do not average it in silently. None where no error was estimated."""
+        return None if self.error is None else self.error > SENSITIVE_RAD
 
     @property
     def theta(self) -> Array:
@@ -57,12 +72,9 @@ def rest(model: Model, inputs: Inputs, q: Joints | float = 0.0) -> State:
     """Rest at the shape q (n,) [rad] under the first inputs: z balances the forces, within |zᵢ| ≤ μ_S/σ₀."""
     u, u_p, tau = inputs.at(inputs.t[0])
     shape = jnp.broadcast_to(jnp.asarray(q, inputs.t.dtype), (model.n,))
-    load = tendon_torque(model, shape, u) - energy.potential_gradient(model, shape, u_p)
-    if tau is not None:
-        load = load + tau
-    limit = breakaway(model)
-    z = jnp.clip(load / (model.friction.sigma0 * energy.phi(model, u_p)), -limit, limit)
-    return State(shape, jnp.zeros_like(shape), z)
+    drive = Drive(u[0], u[1], u_p, None if tau is None else unroll(tau), t=inputs.t[0])
+    found = at_rest(model, unroll(shape), drive)
+    return State(*(jnp.stack(x) for x in (found.q, found.v, found.z)))
 
 
 def simulate(
@@ -74,6 +86,7 @@ def simulate(
     inputs: Literal["commands", "measured"] = "commands",
     method: Literal["fast", "reference"] = "fast",
     step_s: float = 0.0025,
+    errors: bool = False,
     rtol: float = 1e-6,
     atol: float = 1e-8,
     max_steps: int = 1_000_000,
@@ -93,6 +106,7 @@ def simulate(
         inputs: drive a logged run by its commands or by its measured tension and pressure.
         method: `"fast"` or `"reference"`. The following but the last are of one of them alone.
         step_s: (fast) length of a step [s]; inputs are averaged over steps.
+        errors: (fast) estimate the error by halving the step, at three times the cost: `Trajectory.error`.
         rtol, atol: (reference) tolerances of the adaptive step, on q [rad], v [rad/s], z [rad]. float32 takes 1e-4
             and 1e-6.
         max_steps: (reference) after which the solver gives up.
@@ -129,8 +143,10 @@ def simulate(
             raise InputError(f"{where}: step_s is {step_s}; expected a length > 0 [s]")
         start, steps = fast.grid(driven, at, step_s)
         first, h = jnp.asarray(start, stamps.dtype), jnp.asarray(step_s, stamps.dtype)
-        out = _fast(model, driven, initial, stamps, first, h, steps)
+        out = _fast(model, driven, initial, stamps, first, h, steps, errors)
     elif method == "reference":
+        if model.effects:
+            raise InputError(f"{where}: the reference solver knows no effects; use method='fast', or remove them")
         out = _solve(model, driven, initial, stamps, rtol, atol, max_steps, derivatives)
     else:
         raise InputError(f"method is {method!r}; expected 'fast' or 'reference'")
@@ -145,10 +161,12 @@ def simulate(
 
 
 @eqx.filter_jit
-def _fast(model, inputs, initial, at, start, h, steps) -> Trajectory:
-    state = fast.run(model, inputs, initial, at, start, h, steps, ITERATIONS)
-    finite = jnp.stack([jnp.all(jnp.isfinite(x)) for x in state])
-    return Trajectory(at, state, jnp.all(finite), jnp.asarray(steps))
+def _fast(model, inputs, initial, at, start, h, steps, errors: bool) -> Trajectory:
+    given = (model, inputs, initial, at, start, h, steps, ITERATIONS)
+    motion, error = fast.halved(*given) if errors else (fast.run(*given), None)
+    finite = jnp.stack([jnp.all(jnp.isfinite(x)) for x in motion])
+    steps = jnp.asarray(2 * steps if errors else steps)
+    return Trajectory(at, State(*motion[:3]), jnp.all(finite), steps, motion.seen, error)
 
 
 def initial_shape(run: Run, n: int) -> Array:
@@ -224,7 +242,7 @@ def _solve(model, inputs, initial, at, rtol, atol, max_steps, derivatives) -> Tr
 
     out = _integrate(field, inputs, initial, at, rtol, atol, max_steps, derivatives)
     assert out.ys is not None
-    return Trajectory(at, out.ys, out.result == diffrax.RESULTS.successful, out.stats["num_steps"])
+    return Trajectory(at, out.ys, out.result == diffrax.RESULTS.successful, out.stats["num_steps"], out.ys.q)
 
 
 class EnergyBalance(NamedTuple):

@@ -14,6 +14,8 @@ stops there and takes the slope of the other side.
 
 Derivatives come from the implicit function theorem at each stage, F_v dv = −dF, with the factors at the solution;
 they do not run through the iterations.
+
+The model's effects hook in as `ljjax.effect` says.
 """
 
 from __future__ import annotations
@@ -27,31 +29,36 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from ljjax import energy
 from ljjax.chain import inertia_constants
+from ljjax.effect import Effect, Memory, Now, Vector, overrides
 from ljjax.friction import stribeck
 from ljjax.model import Friction, Model
 
 GAMMA = 1 - 1 / math.sqrt(2)
 
-Vector = tuple[Array, ...]
-"""One scalar a joint."""
-
 
 class Unrolled(NamedTuple):
-    """q [rad], v [rad/s], z [rad], one scalar a joint."""
+    """q [rad], v [rad/s], z [rad], one scalar a joint; what each effect remembers; the joint angles as logged, where
+    they are not q."""
 
     q: Vector
     v: Vector
     z: Vector
+    memory: tuple[Memory, ...] = ()
+    sensed: Vector | None = None
 
 
 class Drive(NamedTuple):
-    """What drives one step: net tension u₁ − u₂ [N], α₂ [N·m/rad], φ [N·m], external torques [N·m] or None."""
+    """What drives one step: mean tensions u₁, u₂ [N], vacuum [kPa], external torques [N·m] or None; the temperature's
+    rise [K] and the step's start [s], where effects ask for them."""
 
-    tension: Array
-    alpha2: Array
-    phi: Array
+    left: Array
+    right: Array
+    vacuum: Array
     torque: Vector | None = None
+    warm: Array | None = None
+    t: Array | None = None
 
 
 class Constants(NamedTuple):
@@ -140,32 +147,42 @@ def _substitute(factors: tuple[list[list[Any]], list[Any]], right: Sequence[Arra
 
 
 class _Stage(NamedTuple):
-    """One stage's equation F(v) = 0: its base, what is frozen, the parameters, and s = γh."""
+    """One stage's equation F(v) = 0: its base, what is frozen, the parameters, s = γh, and the time since the step's
+    start [s]."""
 
-    base: Unrolled
+    q: Vector
+    v: Vector
+    z: Vector
     m: tuple[Vector, ...]
     load: Vector
     s: Array
+    time: Array
     alpha1: Array
-    alpha2: Array
-    phi: Array
+    alpha2: Vector
+    phi: Vector
     friction: Friction
+    effects: tuple[Effect, ...]
+    memory: tuple[Memory, ...]
 
 
 def _joint(stage: _Stage, i: int, v: Array, side: Array) -> tuple[Array, Array]:
-    """Torque that depends on joint i alone (friction and elasticity) [N·m], and z [rad], at the rate v; `side` is the
-    sign of v, or at 0 the side whose slope to take."""
+    """Torque that depends on joint i alone (friction, elasticity, effects) [N·m], and z [rad], at the rate v; `side`
+    is the sign of v, or at 0 the side whose slope to take."""
     f = stage.friction
-    start = stage.base.z[i]
+    start = stage.z[i]
+    q = stage.q[i] + stage.s * v
     z = (start + stage.s * v) / (1 + stage.s * f.sigma0 * (side * v) / stribeck(f, v))
-    friction = stage.phi * (f.sigma0 * z + f.sigma1 * (z - start) / stage.s + f.sigma2 * v)
-    return friction + stage.alpha2 * (stage.base.q[i] + stage.s * v), z
+    torque = stage.phi[i] * (f.sigma0 * z + f.sigma1 * (z - start) / stage.s + f.sigma2 * v) + stage.alpha2[i] * q
+    for effect, memory in zip(stage.effects, stage.memory, strict=True):
+        more = effect.torque(memory, i, q, v, stage)
+        torque = torque if more is None else torque + more
+    return torque, z
 
 
 def _residual(stage: _Stage, v: Sequence[Array], side: Sequence[Array]) -> list[Array]:
     n = len(v)
-    change = [v[i] - stage.base.v[i] for i in range(n)]
-    gravity = stage.alpha1 * jnp.sin(sum(stage.base.q) + stage.s * sum(v))
+    change = [v[i] - stage.v[i] for i in range(n)]
+    gravity = stage.alpha1 * jnp.sin(sum(stage.q) + stage.s * sum(v))
     out = []
     for i in range(n):
         inertia = sum((stage.m[i][k] if k <= i else stage.m[k][i]) * change[k] for k in range(n))
@@ -176,7 +193,7 @@ def _residual(stage: _Stage, v: Sequence[Array], side: Sequence[Array]) -> list[
 def _matrix(stage: _Stage, v: Sequence[Array], side: Sequence[Array]) -> list[list[Array]]:
     """∂F/∂v, its lower rows."""
     n = len(v)
-    common = stage.s * stage.s * stage.alpha1 * jnp.cos(sum(stage.base.q) + stage.s * sum(v))
+    common = stage.s * stage.s * stage.alpha1 * jnp.cos(sum(stage.q) + stage.s * sum(v))
     rows = []
     for i in range(n):
         _, slope = jax.jvp(lambda x, i=i: _joint(stage, i, x, side[i])[0], (v[i],), (jnp.ones_like(v[i]),))
@@ -186,65 +203,172 @@ def _matrix(stage: _Stage, v: Sequence[Array], side: Sequence[Array]) -> list[li
     return rows
 
 
-def _newton(iterations: int, start: Vector, stage: _Stage) -> tuple[Vector, Vector]:
-    v, side = list(start), [jnp.sign(x) for x in start]
-    for _ in range(iterations):
+class How(NamedTuple):
+    """How to run a step: Newton iterations a stage (two simulate well, derivatives want three or more), and whether
+    iterations and stages are loops, which compile several times faster and run as fast where the batch is wide."""
+
+    iterations: int = 3
+    loops: bool = False
+
+
+def _newton(how: How, start: Vector, stage: _Stage) -> tuple[Vector, Vector]:
+    def iterate(carry: tuple[Vector, Vector]) -> tuple[Vector, Vector]:
+        v, side = carry
         right = [-r for r in _residual(stage, v, side)]
         step = _substitute(_factor(_matrix(stage, v, side)), right)
-        for i in range(len(v)):
-            new = v[i] + step[i]
-            crossed = side[i] * new < 0
-            side[i] = jnp.where(crossed, -side[i], jnp.where(side[i] == 0, jnp.sign(step[i]), side[i]))
-            v[i] = jnp.where(crossed, jnp.zeros_like(new), new)
-    return tuple(v), tuple(side)
+        new = [x + dx for x, dx in zip(v, step, strict=True)]
+        crossed = [a * x < 0 for a, x in zip(side, new, strict=True)]
+        turned = [
+            jnp.where(c, -a, jnp.where(a == 0, jnp.sign(dx), a)) for c, a, dx in zip(crossed, side, step, strict=True)
+        ]
+        return tuple(jnp.where(c, jnp.zeros_like(x), x) for c, x in zip(crossed, new, strict=True)), tuple(turned)
+
+    carry = start, tuple(jnp.sign(x) for x in start)
+    if how.loops:
+        return jax.lax.fori_loop(0, how.iterations, lambda _, c: iterate(c), carry)
+    for _ in range(how.iterations):
+        carry = iterate(carry)
+    return carry
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _solve(iterations: int, start: Vector, stage: _Stage) -> Vector:
-    return _newton(iterations, start, stage)[0]
+def _solve(how: How, start: Vector, stage: _Stage) -> Vector:
+    return _newton(how, start, stage)[0]
 
 
 @_solve.defjvp
-def _solve_jvp(iterations, primals, tangents):
+def _solve_jvp(how, primals, tangents):
     (start, stage), (_, moved) = primals, tangents
-    v, side = _newton(iterations, start, stage)
+    v, side = _newton(how, start, stage)
     side = tuple(jnp.where(x == 0, s, jnp.sign(x)) for x, s in zip(v, side, strict=True))
     factors = _factor(_matrix(stage, v, side))
     _, change = jax.jvp(lambda given: _residual(given, v, side), (stage,), (moved,))
     return v, _substitute(factors, [-x for x in change])
 
 
-def advance(model: Model, c: Constants, state: Unrolled, drive: Drive, h: Any, iterations: int) -> Unrolled:
-    """The state a step h [s] later.
+def at_rest(model: Model, q: Vector, drive: Drive) -> Unrolled:
+    """Rest at the shape q under a drive: z balances the forces, within |zᵢ| ≤ μ_S/σ₀."""
+    return in_balance(model, q, tuple(jnp.zeros_like(x) for x in q), drive)
 
-    Args:
-        c: `constants(model)`.
-        drive: mean inputs over the step.
-        iterations: Newton iterations a stage; two simulate well, derivatives want three or more.
-    """
-    n = len(state.q)
-    s = GAMMA * h * jnp.ones_like(drive.tension)
-    still = tuple(jnp.zeros_like(x) for x in state.q)
-    middle = tuple(state.q[i] + 0.5 * h * state.v[i] for i in range(n))
-    m, coriolis = inertia_and_coriolis(c, still if model.constant_mass else middle, state.v)
-    arm = model.chain.lever_arm_m if model.lever is None else model.lever(jnp.stack(middle))
-    load = [arm * drive.tension] * n
-    if not model.constant_mass:
-        load = [load[i] - coriolis[i] for i in range(n)]
-    if drive.torque is not None:
-        load = [load[i] + drive.torque[i] for i in range(n)]
 
-    def solve(base: Unrolled, start: Vector) -> Unrolled:
-        stage = _Stage(base, m, tuple(load), s, model.gravity.alpha1, drive.alpha2, drive.phi, model.friction)
-        v = _solve(iterations, start, stage)
-        z = tuple(_joint(stage, i, v[i], jnp.sign(v[i]))[1] for i in range(n))
-        return Unrolled(tuple(base.q[i] + s * v[i] for i in range(n)), v, z)
+def in_balance(model: Model, q: Vector, v: Vector, drive: Drive) -> Unrolled:
+    """The shape q moving steadily at v under a drive: z balances the forces, within |zᵢ| ≤ μ_S/σ₀."""
+    n = len(q)
+    now = _now(model, Unrolled(q, v, v), drive, jnp.zeros_like(drive.left))
+    now, memory, alpha2, phi = _inputs(model, now, tuple(e.start(now) for e in model.effects))
+    load = _load(model, now, memory, drive)
+    gravity = model.gravity.alpha1 * jnp.sin(sum(q))
+    f = model.friction
+    free = [((load[i] - gravity - alpha2[i] * q[i]) / phi[i] - f.sigma2 * v[i]) / f.sigma0 for i in range(n)]
+    limit = f.mu_s / f.sigma0
+    return begin(model, q, v, tuple(jnp.clip(z, -limit, limit) for z in free), drive)
 
-    first = solve(state, state.v)
-    onward = (1 - GAMMA) / GAMMA
-    base = Unrolled(
-        *(tuple(x[i] + onward * (y[i] - x[i]) for i in range(n)) for x, y in zip(state, first, strict=True))
+
+def begin(model: Model, q: Vector, v: Vector, z: Vector, drive: Drive) -> Unrolled:
+    """A state from which to start, with what the effects remember at rest."""
+    now = _now(model, Unrolled(q, v, z), drive, jnp.zeros_like(drive.left))
+    sensed, memory = _sense(model, q, now, tuple(e.start(now) for e in model.effects))
+    return Unrolled(q, v, z, memory, sensed)
+
+
+def _now(model: Model, state: Unrolled, drive: Drive, h: Array) -> Now:
+    zero = jnp.zeros_like(drive.left)
+    middle = tuple(q + 0.5 * h * v for q, v in zip(state.q, state.v, strict=True))
+    return Now(
+        model,
+        zero if drive.t is None else drive.t,
+        h,
+        state.q,
+        state.v,
+        state.z,
+        middle,
+        (drive.left, drive.right),
+        drive.vacuum,
+        zero if drive.warm is None else drive.warm,
     )
-    guess = [state.v[i] + (first.v[i] - state.v[i]) / GAMMA for i in range(n)]
-    start = tuple(jnp.where(guess[i] * first.v[i] < 0, first.v[i], guess[i]) for i in range(n))
-    return solve(base, start)
+
+
+def _inputs(model: Model, now: Now, memory: tuple[Memory, ...]) -> tuple[Now, tuple[Memory, ...], Vector, Vector]:
+    """Tensions and vacuum as they reach the body, α₂ [N·m/rad] and φ [N·m] of each joint."""
+    n = len(now.q)
+    kept = list(memory)
+    for k, effect in enumerate(model.effects):
+        u, kept[k] = effect.actuate(kept[k], now.u, now)
+        now = now._replace(u=u)
+        vacuum, kept[k] = effect.evacuate(kept[k], now.vacuum, now)
+        now = now._replace(vacuum=vacuum)
+    alpha2, phi = (energy.alpha2(model, now.vacuum),) * n, (energy.phi(model, now.vacuum),) * n
+    for effect, own in zip(model.effects, kept, strict=True):
+        alpha2, phi = effect.alpha2(own, alpha2, now), effect.phi(own, phi, now)
+    return now, tuple(kept), alpha2, phi
+
+
+def _load(model: Model, now: Now, memory: tuple[Memory, ...], drive: Drive) -> Vector:
+    """What pushes the joints and is frozen over the step [N·m]: tendons, external torques, effects."""
+    n = len(now.q)
+    arm = model.chain.lever_arm_m if model.lever is None else model.lever(jnp.stack(now.middle))
+    load = (arm * (now.u[0] - now.u[1]),) * n
+    if drive.torque is not None:
+        load = tuple(load[i] + drive.torque[i] for i in range(n))
+    for effect, own in zip(model.effects, memory, strict=True):
+        load = effect.load(own, load, now)
+    return load
+
+
+def _sense(model: Model, q: Vector, now: Now, memory: tuple[Memory, ...]) -> tuple[Vector | None, tuple[Memory, ...]]:
+    if not overrides(model.effects, "sense"):
+        return None, memory
+    kept = list(memory)
+    for k, effect in enumerate(model.effects):
+        q, kept[k] = effect.sense(kept[k], q, now)
+    return q, tuple(kept)
+
+
+def advance(model: Model, c: Constants, state: Unrolled, drive: Drive, h: Any, how: How) -> Unrolled:
+    """The state a step h [s] later, from `constants(model)` and the mean inputs over the step."""
+    n = len(state.q)
+    h = h * jnp.ones_like(drive.left)
+    s = GAMMA * h
+    now, memory, alpha2, phi = _inputs(model, _now(model, state, drive, h), state.memory)
+    still = tuple(jnp.zeros_like(x) for x in state.q)
+    m, coriolis = inertia_and_coriolis(c, still if model.constant_mass else now.middle, state.v)
+    for effect in model.effects:
+        m = effect.inertia(m, now)
+    load = _load(model, now, memory, drive)
+    if not model.constant_mass:
+        load = tuple(load[i] - coriolis[i] for i in range(n))
+
+    def solve(base: tuple[Vector, Vector, Vector], start: Vector, time: Array) -> tuple[Vector, Vector, Vector]:
+        q, v, z = base
+        stage = _Stage(
+            q, v, z, m, load, s, time, model.gravity.alpha1, alpha2, phi, model.friction, model.effects, memory
+        )
+        new = _solve(how, start, stage)
+        deflected = tuple(_joint(stage, i, new[i], jnp.sign(new[i]))[1] for i in range(n))
+        return tuple(q[i] + s * new[i] for i in range(n)), new, deflected
+
+    begun = (state.q, state.v, state.z)
+
+    def onward(first: tuple[Vector, Vector, Vector]) -> tuple[tuple[Vector, Vector, Vector], Vector]:
+        """Base and first guess of the second stage."""
+        more = (1 - GAMMA) / GAMMA
+        q, v, z = (
+            tuple(a + more * (b - a) for a, b in zip(x, y, strict=True)) for x, y in zip(begun, first, strict=True)
+        )
+        guess = tuple(a + (b - a) / GAMMA for a, b in zip(state.v, first[1], strict=True))
+        return (q, v, z), tuple(jnp.where(g * b < 0, b, g) for g, b in zip(guess, first[1], strict=True))
+
+    if how.loops:
+
+        def stage(carry, time):
+            base, start, _ = carry
+            found = solve(base, start, time)
+            return (*onward(found), found), None
+
+        (_, _, (q, v, z)), _ = jax.lax.scan(stage, (begun, state.v, begun), jnp.stack([s, h]))
+    else:
+        q, v, z = solve(*onward(solve(begun, state.v, s)), h)
+    after = Unrolled(q, v, z)
+    memory = tuple(e.remember(own, now, after) for e, own in zip(model.effects, memory, strict=True))
+    sensed, memory = _sense(model, q, now, memory)
+    return Unrolled(q, v, z, memory, sensed)

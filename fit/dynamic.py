@@ -1,0 +1,413 @@
+"""Identification from moving logs: multiple shooting, then free runs, by Levenberg–Marquardt.
+
+Three rounds on the same kernel (`ljjax.fit.shooting`). First every window starts from the data, which converges from
+far off. Then windows start where the one before them ends: the free run from rest, still parallel in time, because a
+window's start moves along with the parameters by its derivatives and is corrected until the windows meet. Last the
+same with half the step. Noise is estimated from the residuals, samples far off count less (Huber), and every run's
+starting angle is a parameter of its own, eliminated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import jax
+import numpy as np
+
+from ljjax.fit.coordinates import Coordinates
+from ljjax.fit.points import Points
+from ljjax.fit.shooting import TILE, Answer, Asking, Request, Starts
+from ljjax.fit.static import value_and_jacobian
+from ljjax.fit.windows import Motion, Windows, cut
+from ljjax.model import Model
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round: step of the solver [s], whether windows meet (free runs) and how closely [rad], how many windows are
+    used, and when it ends: when a step would lower χ² by no more than `done`, or that share of it."""
+
+    step_s: float
+    free: bool
+    meet_rad: float
+    windows: int
+    done: float
+    share: float
+
+
+ROUNDS = (
+    Round(0.005, False, np.inf, 2 * TILE, 0.1, 1e-2),
+    Round(0.005, True, 3e-5, 1_000_000, 0.1, 1e-4),
+    Round(0.0025, True, 1e-6, 1_000_000, 0.003, 0.0),
+)
+FAR = 0.25
+"""A step goes no further than this share of a coordinate's spread: parameters change by a factor of 2 at most."""
+HUBER = 4.0
+"""Residuals beyond this many standard deviations count linearly."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What a dynamic fit is asked: the data of one robot and how its parameters may move.
+
+    Attributes:
+        coordinates: the free parameters.
+        motions: the moving runs.
+        points: steady and probe points, which count with their own scatter.
+        priors: mean and standard deviation by path, in the parameter's unit.
+        bounds: lowest and highest value by path, in the parameter's unit.
+    """
+
+    coordinates: Coordinates
+    motions: Sequence[Motion]
+    points: Sequence[Points] = ()
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What a dynamic fit found.
+
+    Attributes:
+        x: (k,) coordinates; `model` the robot.
+        covariance: (k, k) of x, with the residuals' colour; `white` the same were they white.
+        windows, predicted: the last round's windows and what their samples should read (N, c).
+        jacobian: (N, c, k) derivatives of `predicted`, the runs' starting angles projected off.
+        sigma: (c,) standard deviation of the residuals [rad]; `weight` (N, c) of each sample, 1 or less.
+        offset: (R,) correction of each run's starting angle [rad].
+        statics: predictions and scatter for each of the problem's points.
+        chi2: weighted sum of squares; `history` its course: round, iteration, χ² per sample, step, x.
+        converged: whether the last round ended by its own rule.
+    """
+
+    problem: Problem
+    x: np.ndarray
+    model: Model
+    covariance: np.ndarray
+    white: np.ndarray
+    windows: Windows
+    predicted: np.ndarray
+    jacobian: np.ndarray
+    sigma: np.ndarray
+    weight: np.ndarray
+    offset: np.ndarray
+    statics: list[tuple[np.ndarray, float]]
+    chi2: float
+    history: list[tuple[int, int, float, float, np.ndarray]]
+    converged: bool
+
+    @property
+    def error(self) -> np.ndarray:
+        """(N, c) measured − predicted [rad]."""
+        return self.windows.y - self.predicted
+
+
+@dataclass(eq=False)
+class _Point:
+    """Where the search stands: coordinates, offsets of the starting angles (G,), and what they give."""
+
+    x: np.ndarray
+    offset: np.ndarray
+    answer: Answer
+    statics: list[tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Scale:
+    """What residuals are divided by, fixed while steps are compared: σ (c,), Huber's weights (N, c), the points' σ."""
+
+    sigma: np.ndarray
+    weight: np.ndarray
+    statics: list[float]
+
+
+def estimate(
+    problem: Problem, x0: np.ndarray | None = None, rounds: Sequence[Round] = ROUNDS, max_iterations: int = 40
+) -> Asking[Estimate]:
+    """Fit one robot, as a generator for `ljjax.fit.shooting.together`. `x0` (k,) is where it begins."""
+    x = np.array(problem.coordinates.start if x0 is None else x0, float)
+    history: list[tuple[int, int, float, float, np.ndarray]] = []
+    search: _Search | None = None
+    for which, how in enumerate(rounds):
+        windows = cut(problem.motions, how.step_s).some(how.windows)
+        search = _Search(problem, windows, how, search)
+        x = yield from search.run(x, max_iterations, history, which)
+    assert search is not None
+    return search.result(history)
+
+
+class _Search:
+    """Levenberg–Marquardt over x and the starting angles, of windows (from the data) or runs (`free`)."""
+
+    def __init__(self, problem: Problem, windows: Windows, how: Round, before: _Search | None = None):
+        self.problem, self.windows, self.how = problem, windows, how
+        self.group = windows.run if how.free else np.arange(len(windows))
+        self.groups = int(self.group.max()) + 1
+        self.offset_sd = np.array([m.q0_sd for m in problem.motions]) if how.free else windows.q_sd
+        self.sample_group = self.group[windows.window]
+        self.start_from: Starts | None = None
+        self.start_offset = np.zeros(self.groups)
+        self.point: _Point | None = None
+        self.converged = False
+        self.asked = 0
+        if how.free and before is not None and before.point is not None:
+            self._go_on(before.windows, before.how, before.point)
+
+    def _go_on(self, windows: Windows, how: Round, point: _Point) -> None:
+        """Begin where the round before ended, where its windows are these, or twice as long."""
+        answer = point.answer
+        if how.free:
+            self.start_offset = point.offset
+        if how.free and np.isclose(windows.h, 2 * self.windows.h):
+            counts = np.bincount(self.windows.run), np.bincount(windows.run)
+            index = np.concatenate([f + np.arange(c) for f, c in zip(_first(counts[1]) * 2, counts[0], strict=True)])
+
+            def between(start: np.ndarray, middle: np.ndarray) -> np.ndarray:
+                return np.stack([start, middle], axis=-1).reshape(*start.shape[:-1], -1)[..., index]
+
+            self.start_from = jax.tree.map(between, answer.used, answer.middle)
+        elif windows.h == self.windows.h and len(windows) == len(self.windows):
+            self.start_from = self._chained(answer)
+
+    # --- what the model says
+
+    def _ask(self, x: np.ndarray, offset: np.ndarray, starts: Starts | None) -> Asking[Answer]:
+        c = self.problem.coordinates
+        model = jax.tree.map(np.asarray, c.model(x))
+        self.asked += 1
+        return (yield Request(self.windows, model, c.slopes(x), offset[self.group], starts))
+
+    def _evaluate(self, x: np.ndarray, offset: np.ndarray, starts: Starts | None) -> Asking[_Point]:
+        """The model's predictions; in a free run repeated until its windows meet."""
+        answer = yield from self._ask(x, offset, starts)
+        if self.how.free:
+            for _ in range(int(np.bincount(self.windows.run).max()) + 2):
+                following = self._chained(answer)
+                if not _gap(following, answer.used) > self.how.meet_rad:
+                    break
+                answer = yield from self._ask(x, offset, following)
+        model = self.problem.coordinates.model(x)
+        slope = self.problem.coordinates.jacobian(x)
+        statics = []
+        for points in self.problem.points:
+            value, jacobian = value_and_jacobian(model, points, self.problem.coordinates.names)
+            statics.append((value, jacobian @ slope))
+        return _Point(x, offset, answer, statics)
+
+    def _chained(self, answer: Answer) -> Starts:
+        """Every window starts where the one before it ended, with what that one's own new start will add to its end;
+        opening windows start as they were."""
+
+        def shift(end: np.ndarray, used: np.ndarray) -> np.ndarray:
+            return np.where(self.windows.opens, used, np.roll(end, 1, axis=-1))
+
+        following: Starts = jax.tree.map(shift, answer.end, answer.used)
+        new, old = (np.array([s.state.q, s.state.z]) for s in (following, answer.used))  # (2, n, W)
+        total = new - old
+        for w in np.flatnonzero(~self.windows.opens):
+            total[..., w] += np.einsum("abn,bn->an", answer.passed[..., w - 1], total[..., w - 1])
+        q, z = (tuple(x) for x in old + total)
+        return Starts(following.state._replace(q=q, z=z), following.slope)
+
+    # --- how well that fits
+
+    def _scale(self, point: _Point) -> _Scale:
+        error = self.windows.y - point.answer.predicted
+        robust = 1.4826 * np.median(np.abs(error), axis=0)
+        inside = np.abs(error) <= HUBER * robust
+        sigma = np.sqrt(np.sum(np.where(inside, error, 0.0) ** 2, axis=0) / np.maximum(inside.sum(axis=0), 1))
+        noise = np.sqrt(np.mean([m.noise**2 for m in self.problem.motions], axis=0))
+        sigma = np.maximum(sigma, 0.5 * noise + 1e-9)
+        weight = np.minimum(1.0, HUBER * sigma / np.maximum(np.abs(error), 1e-300))
+        statics = []
+        for points, (value, _) in zip(self.problem.points, point.statics, strict=True):
+            stated = points.sd[np.isfinite(points.sd)]
+            least = np.sqrt(np.mean(stated**2)) if len(stated) else 1e-3 * np.abs(points.value).mean() + 1e-9
+            statics.append(float(max(np.sqrt(np.mean((points.value - value) ** 2)), least)))
+        return _Scale(sigma, weight, statics)
+
+    def _rows(self, point: _Point, scale: _Scale) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals and their derivatives (…, k) of all that is not a motion: points, priors, bounds."""
+        c = self.problem.coordinates
+        r, j = [(point.x - c.start) / c.spread], [np.diag(1 / c.spread)]
+        for points, (value, slope), s in zip(self.problem.points, point.statics, scale.statics, strict=True):
+            r.append((value - points.value) / s)
+            j.append(slope / s)
+        if self.problem.priors or self.problem.bounds:
+            physical, slope = c.physical(point.x), c.jacobian(point.x)
+            for name, (mean, sd) in self.problem.priors.items():
+                if name in c.names:
+                    i = c.names.index(name)
+                    r.append(np.array([(physical[i] - mean) / sd]))
+                    j.append(slope[i : i + 1] / sd)
+            for name, (low, high) in self.problem.bounds.items():
+                if name in c.names:
+                    i = c.names.index(name)
+                    width = 1e-4 * (high - low)
+                    beyond = min(physical[i] - low, 0.0) + max(physical[i] - high, 0.0)
+                    r.append(np.array([beyond / width]))
+                    j.append(slope[i : i + 1] / width * (beyond != 0))
+        return np.concatenate(r), np.concatenate(j)
+
+    def _chi2(self, point: _Point, scale: _Scale) -> float:
+        error = (self.windows.y - point.answer.predicted) / scale.sigma
+        rows, _ = self._rows(point, scale)
+        out = np.sum(scale.weight * error**2) + rows @ rows + np.sum((point.offset / self.offset_sd) ** 2)
+        return float(out) if np.isfinite(out) else float("inf")
+
+    def _normal(self, point: _Point, scale: _Scale):
+        """JᵀJ and −Jᵀr over x with the starting angles eliminated, and what gives those back."""
+        weight = scale.weight / scale.sigma**2
+        j, along = point.answer.jacobian[..., :-1], point.answer.jacobian[..., -1]
+        error = self.windows.y - point.answer.predicted
+        weighted = j * weight[..., None]
+        rows, slope = self._rows(point, scale)
+        a = np.einsum("nck,ncl->kl", weighted, j, optimize=True) + slope.T @ slope
+        g = np.einsum("nck,nc->k", weighted, error, optimize=True) - slope.T @ rows
+
+        def summed(x: np.ndarray) -> np.ndarray:
+            return np.stack([np.bincount(self.sample_group, column, self.groups) for column in x.reshape(len(x), -1).T])
+
+        own = summed(np.sum(weight * along**2, axis=1))[0] + 1 / self.offset_sd**2
+        cross = summed(np.einsum("nck,nc->nk", weighted, along, optimize=True))
+        pull = summed(np.sum(weight * along * error, axis=1))[0] - point.offset / self.offset_sd**2
+        return a - (cross / own) @ cross.T, g - (cross / own) @ pull, (own, cross, pull)
+
+    # --- the search
+
+    def run(self, x: np.ndarray, max_iterations: int, history: list, which: int) -> Asking[np.ndarray]:
+        """Search from x (k,); where it ends. `point` and `converged` say more."""
+        point = yield from self._evaluate(x, self.start_offset, self.start_from)
+        damping, converged = 1e-3, False
+        done = self.how.done
+        for _ in range(max_iterations):
+            scale = self._scale(point)
+            chi2 = self._chi2(point, scale)
+            if not np.isfinite(chi2):
+                raise FloatingPointError("the starting model does not simulate: its motion is not finite")
+            a, g, (own, cross, pull) = self._normal(point, scale)
+            history.append((which, self.asked, chi2 / self.windows.y.size, damping, point.x.copy()))
+            while True:
+                step = self._step(a, g, damping)
+                gain = float(2 * g @ step - step @ a @ step)
+                if gain <= max(done, self.how.share * chi2) * (1.0 if damping <= 1e-2 else 1e-3):
+                    converged = True
+                    break
+                shift = (pull - step @ cross) / own
+                trial = point.x + step
+                better = None
+                if self.problem.coordinates.admissible(trial):
+                    better = yield from self._moved(point, step, shift)
+                    new = self._chi2(better, scale)
+                    if new < chi2:
+                        ratio = (chi2 - new) / gain
+                        converged = chi2 - new < self.how.share * chi2
+                        damping = max(damping * (0.1 if ratio > 0.7 else 0.5 if ratio > 0.3 else 2.0), 1e-9)
+                        point = better
+                        break
+                damping = max(damping, 1e-6) * 8
+                if damping > 1e8:
+                    converged = True
+                    break
+            if converged:
+                break
+        self.point, self.converged = point, converged
+        return point.x
+
+    def _step(self, a: np.ndarray, g: np.ndarray, damping: float) -> np.ndarray:
+        """The damped step; coordinates that would go further than `FAR` go that far, the others make the best of it."""
+        d = np.sqrt(np.diag(a))
+        matrix = a + damping * np.diag(d**2)
+        limit = FAR * self.problem.coordinates.spread
+        step, free = np.zeros_like(g), np.ones(len(g), bool)
+        while free.any():
+            step[free] = np.linalg.solve(matrix[np.ix_(free, free)], (g - matrix[:, ~free] @ step[~free])[free])
+            over = free & (np.abs(step) > limit)
+            if not over.any():
+                break
+            worst = int(np.argmax(np.where(over, np.abs(step) / limit, 0.0)))
+            step[worst], free[worst] = np.sign(step[worst]) * limit[worst], False
+        return step
+
+    def _moved(self, point: _Point, step: np.ndarray, shift: np.ndarray) -> Asking[_Point]:
+        starts = None
+        if self.how.free:
+            both = np.concatenate([np.repeat(step[:, None], len(self.windows), 1), shift[self.group][None]])
+            starts = self._chained(point.answer).moved(both)
+        moved = yield from self._evaluate(point.x + step, point.offset + shift, starts)
+        return moved
+
+    # --- the result
+
+    def result(self, history: list) -> Estimate:
+        """The estimate, with its covariance, of a search that has run."""
+        point = self.point
+        assert point is not None
+        scale = self._scale(point)
+        a, _, (own, cross, _) = self._normal(point, scale)
+        along = point.answer.jacobian[..., -1]
+        own_part = (cross / own).T[self.sample_group]
+        jacobian = point.answer.jacobian[..., :-1] - along[..., None] * own_part[:, None, :]
+        error = self.windows.y - point.answer.predicted
+        white = np.linalg.pinv(a, rcond=1e-14, hermitian=True)
+        coloured = white @ self._meat(jacobian, error, scale, point) @ white
+        statics = [(value, s) for (value, _), s in zip(point.statics, scale.statics, strict=True)]
+        model = self.problem.coordinates.model(point.x)
+        offset = point.offset if self.how.free else np.zeros(len(self.problem.motions))
+        return Estimate(
+            self.problem,
+            point.x,
+            model,
+            coloured,
+            white,
+            self.windows,
+            point.answer.predicted,
+            jacobian,
+            scale.sigma,
+            scale.weight,
+            offset,
+            statics,
+            self._chi2(point, scale),
+            history,
+            self.converged,
+        )
+
+    def _meat(self, jacobian: np.ndarray, error: np.ndarray, scale: _Scale, point: _Point) -> np.ndarray:
+        """(k, k) variance of the score: Newey and West's sum over lags within each run, the lags by Andrews' rule."""
+        score = np.einsum("nck,nc->nk", jacobian, scale.weight * error / scale.sigma**2, optimize=True)
+        out = np.zeros((score.shape[1],) * 2)
+        for run in np.unique(self.windows.sample_run):
+            mine = self.windows.sample_run == run
+            s, e = score[mine], error[mine].mean(axis=1)
+            own = s.T @ s
+            lags = bandwidth(e)
+            for lag in range(1, min(lags, len(s) - 1) + 1):
+                c = s[lag:].T @ s[:-lag]
+                own += (1 - lag / (lags + 1)) * (c + c.T)
+            out += own
+        values, vectors = np.linalg.eigh(out)
+        out = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        rows, slope = self._rows(point, scale)
+        return out * len(score) / max(len(score) - len(point.x), 1) + slope.T @ slope
+
+
+def bandwidth(e: np.ndarray) -> int:
+    """Lags over which residuals hang together: Andrews' (1991) rule for Bartlett's kernel and an AR(1)."""
+    e = e - e.mean()
+    power = float(e @ e)
+    rho = float(np.clip(e[1:] @ e[:-1] / power, -0.97, 0.999)) if power > 0 else 0.0
+    alpha = 4 * rho**2 / ((1 - rho) ** 2 * (1 + rho) ** 2)
+    return int(np.ceil(1.1447 * (alpha * len(e)) ** (1 / 3)))
+
+
+def _first(counts: np.ndarray) -> np.ndarray:
+    """Index of each run's first window."""
+    return np.cumsum(counts) - counts
+
+
+def _gap(a: Starts, b: Starts) -> float:
+    """The largest difference of shape and bristle deflection [rad]."""
+    pairs = zip((*a.state.q, *a.state.z), (*b.state.q, *b.state.z), strict=True)
+    return max(float(np.max(np.abs(x - y))) for x, y in pairs)

@@ -1,0 +1,191 @@
+"""Runs cut into short windows of equal length: what drives each, where it starts, which samples lie in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ljjax import fast
+from ljjax.errors import InputError
+from ljjax.inputs import from_run
+from ljjax.logs import Run
+from ljjax.simulation import initial_shape
+
+STEPS = 200
+"""Steps in a window, the same for every fit, so that one compilation serves them all."""
+SMOOTH_S = 0.06
+"""Half of the stretch of samples that tell the angle and the rate at which a window starts [s]."""
+Source = Literal["commands", "measured"]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """One run as a dynamic fit takes it.
+
+    Attributes:
+        run: the log; `source` of its inputs.
+        t: (T,) stamps [s]; `y` (T, c) measured θ (c = 1) or joint angles (c = n) [rad].
+        noise: (c,) standard deviation of the white part of the measurement [rad].
+        q0: (n,) shape at the start [rad]; `q0_sd` its standard deviation [rad].
+        input_t, tendons, vacuum, hold: the inputs, as in `ljjax.inputs.Inputs`.
+    """
+
+    run: Run
+    source: Source
+    t: np.ndarray
+    y: np.ndarray
+    noise: np.ndarray
+    q0: np.ndarray
+    q0_sd: float
+    input_t: np.ndarray
+    tendons: np.ndarray
+    vacuum: np.ndarray
+    hold: bool
+
+
+def motion(run: Run, n: int, source: Source = "commands") -> Motion:
+    """A run as a dynamic fit takes it.
+
+    Raises:
+        InputError: no shape, no inputs, values in doubt, too few samples, or nothing that moves.
+    """
+    run.trusted()
+    shape = run.signal("shape")
+    inputs = from_run(run, source)
+    known = np.all(np.isfinite(shape.value), axis=1)
+    t, y = shape.t[known], shape.value[known]
+    if len(t) < 20 or t[-1] - t[0] < 0.5:
+        raise InputError(f"{run.path}: {shape.topic}: {len(t)} samples; a dynamic fit needs 20 over half a second")
+    noise = white_noise(y)
+    tendons, vacuum = np.asarray(inputs.tendons), np.asarray(inputs.pressure_kpa)
+    if np.all(np.std(y, axis=0) < 3 * noise + 1e-9) and np.all(np.ptp(tendons, axis=0) < 1e-9):
+        raise InputError(f"{run.path}: no excitation: neither the tensions nor the shape move")
+    if np.all(np.std(y, axis=0) < 2 * noise + 1e-9):
+        moved = np.degrees(np.std(y.mean(axis=1)))
+        raise InputError(f"{run.path}: no excitation: the shape moves by {moved:.2g}° only, no more than its noise")
+    q0 = np.asarray(initial_shape(run, n))
+    still = max(1, int(np.sum(t <= _first_change(inputs.t, inputs.tendons, inputs.pressure_kpa, t))))
+    spread = float(np.sqrt(np.mean(noise**2) / min(still, 200) / y.shape[1]))
+    return Motion(
+        run, source, t, y, noise, q0, max(spread, 1e-6), np.asarray(inputs.t), tendons, vacuum, bool(inputs.hold)
+    )
+
+
+def _first_change(input_t, tendons, vacuum, t) -> float:
+    """When the inputs first change, within a second of the first sample."""
+    drive = np.column_stack([tendons, vacuum])
+    changed = np.flatnonzero(np.any(drive != drive[0], axis=1))
+    return min(float(t[0]) + 1.0, float(input_t[changed[0]]) if len(changed) else np.inf)
+
+
+def white_noise(y: np.ndarray) -> np.ndarray:
+    """(c,) standard deviation of the white part of each column, from the median second difference."""
+    if len(y) < 5:
+        return np.zeros(y.shape[1])
+    second = np.abs(y[2:] - 2 * y[1:-1] + y[:-2])
+    return np.median(second, axis=0) / (0.6745 * np.sqrt(6))
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """W windows of `STEPS` steps of h [s], of R runs, the windows of a run one after the other.
+
+    Attributes:
+        run: (W,) index of each window's run; `opens` (W,) whether it is its run's first.
+        left, right, vacuum: (W, STEPS) mean tensions [N] and vacuum [kPa]; `t` (W, STEPS) starts of the steps [s].
+        h: length of a step [s].
+        q, v: (W, n) shape [rad] and rates [rad/s] at each start, from the data; `q_sd` (W,) of the mean angle [rad].
+        window, step, weight: (N,) where each sample lies: window, step in it, fraction of the step.
+        y: (N, c) samples [rad]; `sample_run`, `sample_t` (N,) their run and stamp.
+    """
+
+    run: np.ndarray
+    opens: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    vacuum: np.ndarray
+    t: np.ndarray
+    h: float
+    q: np.ndarray
+    v: np.ndarray
+    q_sd: np.ndarray
+    window: np.ndarray
+    step: np.ndarray
+    weight: np.ndarray
+    y: np.ndarray
+    sample_run: np.ndarray
+    sample_t: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.run)
+
+    def some(self, most: int) -> Windows:
+        """At most so many of the windows, evenly spread over the runs."""
+        if len(self) <= most:
+            return self
+        keep = np.unique(np.linspace(0, len(self) - 1, most).astype(int))
+        mine = np.isin(self.window, keep)
+        of_window = {
+            name: getattr(self, name)[keep] for name in ("run", "left", "right", "vacuum", "t", "q", "v", "q_sd")
+        }
+        of_sample = {name: getattr(self, name)[mine] for name in ("step", "weight", "y", "sample_run", "sample_t")}
+        window = np.searchsorted(keep, self.window[mine])
+        return Windows(opens=self.opens[keep], h=self.h, window=window, **of_window, **of_sample)
+
+
+def cut(motions: Sequence[Motion], h: float) -> Windows:
+    """Cut runs into windows of `STEPS` steps of h [s]; the last of a run may reach beyond its data."""
+    rows: dict[str, list] = {name: [] for name in Windows.__dataclass_fields__ if name != "h"}
+    first = 0
+    for index, m in enumerate(motions):
+        start = min(float(m.input_t[0]), float(m.t[0]))
+        count = max(1, int(np.ceil((m.t[-1] - start) / (h * STEPS) - 1e-9)))
+        edges = start + h * np.arange(count * STEPS + 1)
+        tendons = fast.mean(m.input_t, m.tendons, edges, m.hold, np)
+        vacuum = fast.mean(m.input_t, m.vacuum[:, None], edges, m.hold, np)[:, 0]
+        begins = edges[:-1:STEPS]
+        q, v, sd = _starts(m, begins)
+        place = (m.t - start) / h
+        step = np.clip(np.floor(place).astype(int), 0, count * STEPS - 1)
+        for name, value in (
+            ("run", np.full(count, index)),
+            ("opens", np.arange(count) == 0),
+            ("left", tendons[:, 0].reshape(count, STEPS)),
+            ("right", tendons[:, 1].reshape(count, STEPS)),
+            ("vacuum", vacuum.reshape(count, STEPS)),
+            ("t", edges[:-1].reshape(count, STEPS)),
+            ("q", q),
+            ("v", v),
+            ("q_sd", sd),
+            ("window", first + step // STEPS),
+            ("step", step % STEPS),
+            ("weight", place - step),
+            ("y", m.y),
+            ("sample_run", np.full(len(m.t), index)),
+            ("sample_t", m.t),
+        ):
+            rows[name].append(value)
+        first += count
+    joined = {name: np.concatenate(parts) for name, parts in rows.items()}
+    return Windows(**joined, h=h)
+
+
+def _starts(m: Motion, begins: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Shape (W, n) and rates (W, n) at the times `begins` by a quadratic through the samples near them, and the
+    standard deviation of the mean angle (W,); the first is the run's own start, at rest."""
+    n = len(m.q0)
+    q, v, sd = np.tile(m.q0, (len(begins), 1)), np.zeros((len(begins), n)), np.full(len(begins), m.q0_sd)
+    noise = float(np.sqrt(np.mean(m.noise**2) / m.y.shape[1]))
+    for i, t in enumerate(begins[1:], start=1):
+        near = np.abs(m.t - t) <= SMOOTH_S
+        if near.sum() < 5:
+            near[np.argsort(np.abs(m.t - t))[:5]] = True
+        x = (m.t[near] - t) / SMOOTH_S
+        basis = np.stack([np.ones_like(x), x, x**2], axis=1)
+        found = np.linalg.lstsq(basis, m.y[near], rcond=None)[0]
+        q[i], v[i] = found[0], found[1] / SMOOTH_S
+        sd[i] = noise * np.sqrt(np.linalg.pinv(basis.T @ basis)[0, 0]) + 1e-6
+    return q, v, sd

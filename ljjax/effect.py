@@ -1,0 +1,122 @@
+"""What an unmodelled effect is: a few parameters and the places where it hooks into the solver's step.
+
+An effect is a subclass of `Effect`. Every hook below does nothing unless the subclass says otherwise; hooks are plain
+arithmetic on scalars, one a joint, as in `ljjax.step`, so that simulation, fit and diagnosis batch and differentiate
+through them alike. In the order of one step:
+
+    actuate → evacuate → alpha2, phi → inertia, load (once a step) → torque (inside each stage) → remember → sense
+
+An effect may keep a memory (a tuple of scalars, `()` by default): `start` makes it, `actuate`, `evacuate`, `remember`
+and `sense` hand back a new one.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+Vector = tuple[Array, ...]
+"""One scalar a joint."""
+Memory = tuple[Any, ...]
+
+
+class Now(NamedTuple):
+    """What a hook may look at: the model, the step's start and length [s], the state at its start, the shape predicted
+    for its middle [rad], the tensions (u₁, u₂) [N] and the vacuum [kPa] as known so far in the step, and the
+    temperature's rise since the first run began [K]."""
+
+    model: Any
+    t: Array
+    h: Array
+    q: Vector
+    v: Vector
+    z: Vector
+    middle: Vector
+    u: tuple[Array, Array]
+    vacuum: Array
+    warm: Array
+
+
+def parameter(unit: str, null: float, low: float, high: float, scale: float) -> Any:
+    """A parameter of an effect: its unit, the value at which it vanishes, its bounds, and a typical size."""
+    return eqx.field(
+        converter=lambda x: x if isinstance(x, jax.Array) else jnp.asarray(np.asarray(x), dtype=float),
+        metadata={"unit": unit, "null": null, "low": low, "high": high, "scale": scale},
+        default=null,
+    )
+
+
+class Effect(eqx.Module):
+    """Base class of the effects; see the module's text for the order of the hooks.
+
+    Class attributes: `id` and `block` (actuation, jamming, structure, friction or sensing).
+    """
+
+    id: ClassVar[str] = ""
+    block: ClassVar[str] = ""
+
+    @classmethod
+    def fields(cls) -> dict[str, Any]:
+        """The parameters' metadata by name: unit, null, low, high, scale."""
+        return {name: f.metadata for name, f in cls.__dataclass_fields__.items() if "null" in f.metadata}
+
+    def start(self, now: Now) -> Memory:
+        """The memory at rest under the first inputs."""
+        return ()
+
+    def delay_s(self) -> Array | None:
+        """Transport delay of the commanded tensions [s], or None."""
+        return None
+
+    def latency_s(self) -> Array | None:
+        """How much later the shape is stamped than it was seen [s], or None."""
+        return None
+
+    def actuate(self, memory: Memory, u: tuple[Array, Array], now: Now) -> tuple[tuple[Array, Array], Memory]:
+        """The mean tensions at the body over the step, from those commanded [N]."""
+        return u, memory
+
+    def evacuate(self, memory: Memory, vacuum: Array, now: Now) -> tuple[Array, Memory]:
+        """The mean vacuum in the sheath over the step, from that commanded [kPa]."""
+        return vacuum, memory
+
+    def alpha2(self, memory: Memory, alpha2: Vector, now: Now) -> Vector:
+        """Elastic coefficients, one a joint [N·m/rad]."""
+        return alpha2
+
+    def phi(self, memory: Memory, phi: Vector, now: Now) -> Vector:
+        """Friction scales, one a joint [N·m]."""
+        return phi
+
+    def inertia(self, m: tuple[Vector, ...], now: Now) -> tuple[Vector, ...]:
+        """The lower rows of M [kg·m²], frozen over the step."""
+        return m
+
+    def load(self, memory: Memory, load: Vector, now: Now) -> Vector:
+        """Torques that push the joints [N·m], frozen over the step at `now.middle`."""
+        return load
+
+    def torque(self, memory: Memory, i: int, q: Array, v: Array, stage: Any) -> Array | None:
+        """Torque that resists joint i [N·m], solved for with the joint's rate: a function of that joint alone.
+
+        `stage.time` is the time since the step began [s]; `stage.alpha2[i]`, `stage.phi[i]` are this step's.
+        """
+        return None
+
+    def remember(self, memory: Memory, now: Now, after: Any) -> Memory:
+        """The memory after a step that ended in `after` (q, v, z)."""
+        return memory
+
+    def sense(self, memory: Memory, y: Vector, now: Now) -> tuple[Vector, Memory]:
+        """The joint angles that are logged [rad], from those that are, at the end of a step (`now` its beginning)."""
+        return y, memory
+
+
+def overrides(effects: tuple[Effect, ...], hook: str) -> bool:
+    """Whether any of the effects has a hook of its own."""
+    return any(getattr(type(e), hook) is not getattr(Effect, hook) for e in effects)
