@@ -127,13 +127,12 @@ def scipy_radau(task: Task, rtol: float, atol: float) -> Simulator:
 
 
 def casadi_cvodes(task: Task, rtol: float, atol: float) -> Simulator:
-    """CasADi's interface to SUNDIALS CVODES, symbolic right-hand side and exact Jacobian; commands are held at their
-    mean between stamps, the only course it takes, and the solver restarts at each."""
+    """CasADi's interface to SUNDIALS CVODES: symbolic right-hand side, exact Jacobian, an interpolant for the commands."""
     import casadi
 
     plain = _Plain(task)
     cs: Any = casadi
-    n, width = 6, float(plain.t[1] - plain.t[0])
+    n, stamps = 6, len(plain.t)
     y, p, u = cs.SX.sym("y", 3 * n), cs.SX.sym("p", plain.numbers.shape[1]), cs.SX.sym("u", 2)
     q, v, z = y[:n], y[n : 2 * n], y[2 * n :]
     lever, alpha1, c1, c2, c3, c4, c5, s0, s1, s2, s3, mu_c, mu_s, v_s = (p[i] for i in range(14))
@@ -149,14 +148,16 @@ def casadi_cvodes(task: Task, rtol: float, atol: float) -> Simulator:
     torque = lever * u[0] - alpha1 * cs.sin(psi[-1]) - alpha2 * q - phi * (s0 * z + s1 * rate + s2 * v) - coriolis
     ode = cs.vertcat(v, cs.solve(mass, torque), rate)
     options = {"reltol": rtol, "abstol": atol, "max_num_steps": 1_000_000}
-    f = cs.integrator("f", "cvodes", {"x": y, "p": p, "u": u, "ode": ode}, 0.0, (plain.t[1:]).tolist(), options)
-    assert width > 0
+    rates = cs.Function("rates", [y, p, u], [ode])
+    t, state, given = cs.MX.sym("t"), cs.MX.sym("y", 3 * n), cs.MX.sym("p", p.numel() + 2 * stamps)
+    command = cs.interpolant("u", "linear", [plain.t.tolist()], 2)(t, given[p.numel() :])
+    ode = rates(state, given[: p.numel()], command)
+    f = cs.integrator("f", "cvodes", {"t": t, "x": state, "p": given, "ode": ode}, 0.0, plain.t[1:].tolist(), options)
 
     def run() -> np.ndarray:
         out = []
         for first, numbers, drive in zip(plain.first, plain.numbers, plain.drive, strict=True):
-            middle = 0.5 * (drive[1:] + drive[:-1])
-            found = np.asarray(f(x0=first, p=numbers, u=middle.T)["xf"])[:n].T
+            found = np.asarray(f(x0=first, p=np.concatenate([numbers, drive.ravel()]))["xf"])[:n].T
             out.append(np.concatenate([first[None, :n], found]))
         return np.stack(out)
 

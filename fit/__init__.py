@@ -1,22 +1,22 @@
-"""From logs to parameters: `fit(model, runs)` gives a `FitResult`.
+"""From logs to parameters: `fit(model, runs)` gives a `FitResult`, `fit_many` one for every robot.
 
-Now: what steady operating points and probe stiffness show. Identification from dynamic logs will join it here.
+Moving logs give everything; steady operating points and probe stiffness join them, or stand alone.
 """
 
 from typing import TYPE_CHECKING, Any
 
-__all__ = ["FitResult", "fit"]
+__all__ = ["FitResult", "fit", "fit_many"]
 
 if TYPE_CHECKING:
     from ljjax.fit.result import FitResult
-    from ljjax.fit.run import fit
+    from ljjax.fit.run import fit, fit_many
 
 
 def __getattr__(name: str) -> Any:
-    if name == "fit":
-        from ljjax.fit.run import fit
+    if name in ("fit", "fit_many"):
+        from ljjax.fit import run
 
-        return fit
+        return getattr(run, name)
     if name == "FitResult":
         from ljjax.fit.result import FitResult
 

@@ -39,7 +39,7 @@ class Round:
 ROUNDS = (
     Round(0.005, False, np.inf, 2 * TILE, 0.1, 1e-2),
     Round(0.005, True, 3e-5, 1_000_000, 0.1, 1e-4),
-    Round(0.0025, True, 1e-6, 1_000_000, 0.003, 0.0),
+    Round(0.0025, True, 1e-6, 1_000_000, 0.02, 0.0),
 )
 FAR = 0.25
 """A step goes no further than this share of a coordinate's spread: parameters change by a factor of 2 at most."""
@@ -80,6 +80,7 @@ class Estimate:
         statics: predictions and scatter for each of the problem's points.
         chi2: weighted sum of squares; `history` its course: round, iteration, χ² per sample, step, x.
         converged: whether the last round ended by its own rule.
+        step_error: (R,) the largest change of a prediction from halving the solver's step [rad], or None.
     """
 
     problem: Problem
@@ -97,6 +98,7 @@ class Estimate:
     chi2: float
     history: list[tuple[int, int, float, float, np.ndarray]]
     converged: bool
+    step_error: np.ndarray | None = None
 
     @property
     def error(self) -> np.ndarray:
@@ -129,19 +131,29 @@ def estimate(
     """Fit one robot, as a generator for `ljjax.fit.shooting.together`. `x0` (k,) is where it begins."""
     x = np.array(problem.coordinates.start if x0 is None else x0, float)
     history: list[tuple[int, int, float, float, np.ndarray]] = []
-    search: _Search | None = None
+    search: Search | None = None
     for which, how in enumerate(rounds):
         windows = cut(problem.motions, how.step_s).some(how.windows)
-        search = _Search(problem, windows, how, search)
+        search = Search(problem, windows, how, search)
         x = yield from search.run(x, max_iterations, history, which)
     assert search is not None
     return search.result(history)
 
 
-class _Search:
+def predict(found: Estimate, motions: Sequence[Motion]) -> Asking[Estimate]:
+    """What an estimate says of other runs: the same, over their windows."""
+    p = found.problem
+    like = Coordinates(found.model, p.coordinates.names, p.coordinates.pressure)
+    problem = Problem(like, motions)
+    search = Search(problem, cut(motions, ROUNDS[-1].step_s), ROUNDS[-1])
+    yield from search.look(like.start)
+    return search.result([])
+
+
+class Search:
     """Levenberg–Marquardt over x and the starting angles, of windows (from the data) or runs (`free`)."""
 
-    def __init__(self, problem: Problem, windows: Windows, how: Round, before: _Search | None = None):
+    def __init__(self, problem: Problem, windows: Windows, how: Round, before: Search | None = None):
         self.problem, self.windows, self.how = problem, windows, how
         self.group = windows.run if how.free else np.arange(len(windows))
         self.groups = int(self.group.max()) + 1
@@ -152,6 +164,8 @@ class _Search:
         self.point: _Point | None = None
         self.converged = False
         self.asked = 0
+        self.coarse: np.ndarray | None = None
+        self.step_error: np.ndarray | None = None
         if how.free and before is not None and before.point is not None:
             self._go_on(before.windows, before.how, before.point)
 
@@ -168,6 +182,7 @@ class _Search:
                 return np.stack([start, middle], axis=-1).reshape(*start.shape[:-1], -1)[..., index]
 
             self.start_from = jax.tree.map(between, answer.used, answer.middle)
+            self.coarse = answer.predicted
         elif windows.h == self.windows.h and len(windows) == len(self.windows):
             self.start_from = self._chained(answer)
 
@@ -280,6 +295,9 @@ class _Search:
     def run(self, x: np.ndarray, max_iterations: int, history: list, which: int) -> Asking[np.ndarray]:
         """Search from x (k,); where it ends. `point` and `converged` say more."""
         point = yield from self._evaluate(x, self.start_offset, self.start_from)
+        if self.coarse is not None:
+            change = np.abs(point.answer.predicted - self.coarse).max(axis=1)
+            self.step_error = np.array([change[self.windows.sample_run == i].max() for i in range(self.groups)])
         damping, converged = 1e-3, False
         done = self.how.done
         for _ in range(max_iterations):
@@ -289,6 +307,7 @@ class _Search:
                 raise FloatingPointError("the starting model does not simulate: its motion is not finite")
             a, g, (own, cross, pull) = self._normal(point, scale)
             history.append((which, self.asked, chi2 / self.windows.y.size, damping, point.x.copy()))
+            rejected = 0
             while True:
                 step = self._step(a, g, damping)
                 gain = float(2 * g @ step - step @ a @ step)
@@ -308,7 +327,8 @@ class _Search:
                         point = better
                         break
                 damping = max(damping, 1e-6) * 8
-                if damping > 1e8:
+                rejected += 1
+                if damping > 1e8 or (rejected >= 2 and gain < 1.0):  # nothing left but the kinks' roughness
                     converged = True
                     break
             if converged:
@@ -330,6 +350,16 @@ class _Search:
             worst = int(np.argmax(np.where(over, np.abs(step) / limit, 0.0)))
             step[worst], free[worst] = np.sign(step[worst]) * limit[worst], False
         return step
+
+    def look(self, x: np.ndarray) -> Asking[None]:
+        """Evaluate at x (k,), without a search."""
+        self.point = yield from self._evaluate(x, self.start_offset, None)
+
+    def gradient(self, x: np.ndarray) -> Asking[np.ndarray]:
+        """(k,) gradient of ½χ² per sample at x, the starting angles at their best to first order."""
+        point = yield from self._evaluate(x, self.start_offset, None)
+        _, g, _ = self._normal(point, self._scale(point))
+        return -g / self.windows.y.size
 
     def _moved(self, point: _Point, step: np.ndarray, shift: np.ndarray) -> Asking[_Point]:
         starts = None
@@ -372,6 +402,7 @@ class _Search:
             self._chi2(point, scale),
             history,
             self.converged,
+            self.step_error,
         )
 
     def _meat(self, jacobian: np.ndarray, error: np.ndarray, scale: _Scale, point: _Point) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ljjax.fit.points import UNIT, Points
-from ljjax.fit.result import FitResult
+from ljjax.fit.result import StaticResult
 from ljjax.fit.static import Stage, predict, prediction_sd
 from ljjax.page import ACCENT, INK, MUTED, axes, legend
 
@@ -22,7 +22,7 @@ def _curve(kind: str, pressure: np.ndarray, theta: np.ndarray) -> Points:
     return Points(kind, nothing, nothing + np.nan, pressure, theta, nothing, none, none.astype(bool))
 
 
-def tension(result: FitResult, stage: Stage) -> Figure:
+def tension(result: StaticResult, stage: Stage) -> Figure:
     """Measured tension with its scatter over angle, and the model's curves, a colour a pressure level."""
     figure, ax = axes()
     points, levels = stage.points, stage.points.levels
@@ -92,7 +92,7 @@ def error_map(stage: Stage) -> Figure:
     return figure
 
 
-def probe(result: FitResult, stage: Stage) -> Figure:
+def probe(result: StaticResult, stage: Stage) -> Figure:
     """Measured tip stiffness over pressure and the model's curve with its 95 % band."""
     figure, ax = axes()
     points = stage.points
@@ -137,7 +137,7 @@ def left_out(stage: Stage) -> Figure:
     return figure
 
 
-def intervals(result: FitResult) -> Figure:
+def intervals(result: StaticResult) -> Figure:
     """Every fitted parameter's 95 % interval relative to its value, and its range over left-out pressures."""
     fitted = [p for p in result.parameters.values() if p.sd]
     figure, ax = axes(height=0.9 + 0.48 * max(len(fitted), 3))
@@ -173,7 +173,7 @@ def intervals(result: FitResult) -> Figure:
     return figure
 
 
-def correlation(result: FitResult) -> Figure:
+def correlation(result: StaticResult) -> Figure:
     """Correlation matrix of the fitted parameters."""
     figure, ax = axes(height=4.3)
     names, matrix = result.correlation

@@ -10,19 +10,20 @@ import numpy as np
 
 from ljjax.fit.paper import paper_units
 from ljjax.fit.points import UNIT, Points
-from ljjax.fit.result import FitResult
+from ljjax.fit.result import StaticResult
 from ljjax.fit.static import Stage
+from ljjax.logs import Run
 
 SCHEMA = "ljjax.fit/1"
 
 
-def record(result: FitResult) -> dict[str, Any]:
+def record(result: StaticResult) -> dict[str, Any]:
     """The content of fit.json; what is not finite or not known is None."""
     stages = result.static.stages
     names, correlation = result.correlation
     steady, probe = (stages[kind].points if kind in stages else Points.none(kind) for kind in ("steady", "probe"))
     robots = sorted({r.robot_id for r in result.runs})
-    return _plain(
+    return plain(
         {
             "schema": SCHEMA,
             "version": version("ljjax"),
@@ -31,13 +32,7 @@ def record(result: FitResult) -> dict[str, Any]:
             "start": result.start_from,
             "inputs": [
                 {
-                    "file": r.path,
-                    "sha256": r.sha256,
-                    "run_id": r.run_id,
-                    "robot_id": r.robot_id,
-                    "experiment": r.experiment,
-                    "role": "train",
-                    "partial": None if r.damage is None else f"{r.damage.why} at {r.damage.where}",
+                    **about_run(r, "train"),
                     **{kind: int(np.sum(stage.points.run == i)) for kind, stage in stages.items()},
                 }
                 for i, r in enumerate(result.runs)
@@ -99,14 +94,27 @@ def _held_out(stage: Stage) -> dict[str, Any]:
     }
 
 
-def _plain(x: Any) -> Any:
+def about_run(r: Run, role: str) -> dict[str, Any]:
+    """Where a run came from."""
+    return {
+        "file": r.path,
+        "sha256": r.sha256,
+        "run_id": r.run_id,
+        "robot_id": r.robot_id,
+        "experiment": r.experiment,
+        "role": role,
+        "partial": None if r.damage is None else f"{r.damage.why} at {r.damage.where}",
+    }
+
+
+def plain(x: Any) -> Any:
     """Plain JSON values: arrays to lists, what is not finite to null."""
     if isinstance(x, Mapping):
-        return {k: _plain(v) for k, v in x.items()}
+        return {k: plain(v) for k, v in x.items()}
     if isinstance(x, np.ndarray):
-        return _plain(x.tolist())
+        return plain(x.tolist())
     if isinstance(x, list | tuple):
-        return [_plain(v) for v in x]
+        return [plain(v) for v in x]
     if isinstance(x, float | np.floating):
         return float(x) if np.isfinite(x) else None
     return int(x) if isinstance(x, np.integer) else x

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from html import escape
 from typing import Any
 
@@ -10,11 +11,11 @@ import numpy as np
 from ljjax import page
 from ljjax.fit import figures
 from ljjax.fit.points import UNIT
-from ljjax.fit.result import FitResult
+from ljjax.fit.result import StaticResult
 from ljjax.page import number
 
 
-def report(result: FitResult, data: dict[str, Any]) -> str:
+def report(result: StaticResult, data: Mapping[str, Any]) -> str:
     """The page, from the result and its fit.json content. It loads nothing from anywhere."""
     robots = data["robot_id"] if isinstance(data["robot_id"], str) else ", ".join(data["robot_id"])
     fitted = [p for p in result.parameters.values() if p.source != "model"]
@@ -36,7 +37,7 @@ def report(result: FitResult, data: dict[str, Any]) -> str:
     return page.page(f"{robots or 'Robot'}: identified model", subtitle, parts)
 
 
-def _figures(result: FitResult) -> list[str]:
+def _figures(result: StaticResult) -> list[str]:
     out = []
     if stage := result.static.stages.get("steady"):
         worst = int(np.argmax(np.abs(stage.error)))
@@ -76,7 +77,7 @@ def _figures(result: FitResult) -> list[str]:
     return out
 
 
-def _parameters(result: FitResult, data: dict[str, Any]) -> str:
+def _parameters(result: StaticResult, data: Mapping[str, Any]) -> str:
     rows = []
     for p in result.parameters.values():
         if p.source == "model":
@@ -100,7 +101,7 @@ def _parameters(result: FitResult, data: dict[str, Any]) -> str:
     return note + page.table(heads, rows, numeric=(1, 2, 5, 6))
 
 
-def _paper(data: dict[str, Any]) -> str:
+def _paper(data: Mapping[str, Any]) -> str:
     paper = data["paper"]
     published = paper.get("published", {})
     rows = []
@@ -126,7 +127,7 @@ def _paper(data: dict[str, Any]) -> str:
     return note + page.table(["quantity", "identified", "± 1 sd", "published", "unit"], rows, numeric=(1, 2, 3))
 
 
-def _errors(result: FitResult, data: dict[str, Any]) -> str:
+def _errors(result: StaticResult, data: Mapping[str, Any]) -> str:
     rows = []
     for kind, stage in result.static.stages.items():
         held, levels = data["held_out"][kind], stage.points.levels
@@ -148,7 +149,7 @@ def _errors(result: FitResult, data: dict[str, Any]) -> str:
     return page.table(heads, rows, numeric=(1, 2, 3, 4, 5))
 
 
-def _worst(result: FitResult) -> str:
+def _worst(result: StaticResult) -> str:
     rows = []
     for kind, stage in result.static.stages.items():
         p = stage.points
@@ -161,7 +162,7 @@ def _worst(result: FitResult) -> str:
     return page.table(heads, rows, numeric=(2, 3, 4, 5, 6, 7))
 
 
-def _inputs(data: dict[str, Any]) -> str:
+def _inputs(data: Mapping[str, Any]) -> str:
     rows = [
         [
             escape(x["run_id"]), escape(x["experiment"]), f"<code>{escape(x['file'])}</code>",
@@ -172,7 +173,7 @@ def _inputs(data: dict[str, Any]) -> str:
     return page.table(["run", "experiment", "file", "sha256", "state"], rows)
 
 
-def _assumed(result: FitResult, data: dict[str, Any]) -> str:
+def _assumed(result: StaticResult, data: Mapping[str, Any]) -> str:
     rows = [
         [f"<code>{p.name}</code>", number(p.value, 6), escape(p.unit), p.verdict]
         for p in result.parameters.values()

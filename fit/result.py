@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
 from typing import Any
@@ -18,7 +18,7 @@ from ljjax.fit.paper import PUBLISHED_FOR
 from ljjax.fit.points import UNIT
 from ljjax.fit.static import Stage, StaticFit
 from ljjax.logs import Run, Signal, copy_overlay
-from ljjax.model import UNITS, get
+from ljjax.model import UNITS, Model, get
 from ljjax.modelfile import ModelFile
 from ljjax.outputs import artefacts
 
@@ -66,18 +66,16 @@ class Parameter:
         return self.judgement == "identifiable"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class FitResult:
-    """The identified robot and the evidence.
+    """The identified robot and the evidence. What is said of parameters, in whatever way they were found, is here.
 
     Attributes:
-        static: the regressions.
         start: the model file the fit began from; `start_from` says where that came from.
         runs: the logs used, `said` what each gave.
-        options: what was asked for (weights, constraints, frozen, seed).
+        options: what was asked for.
     """
 
-    static: StaticFit
     start: ModelFile
     start_from: str
     runs: Sequence[Run]
@@ -85,29 +83,121 @@ class FitResult:
     options: Mapping[str, Any]
 
     def __repr__(self) -> str:
-        fitted = [p for p in self.parameters.values() if p.source != "model"]
         rows = "\n".join(
-            f"  {p.name} = {p.value:.4g} ± {p.sd or float('nan'):.2g} {p.unit} ({p.judgement})" for p in fitted
+            f"  {p.name} = {p.value:.4g} ± {p.sd or float('nan'):.2g} {p.unit} ({p.judgement})" for p in self.fitted
         )
-        return f"FitResult of {len(self.runs)} runs:\n{rows}"
+        return f"{type(self).__name__} of {len(self.runs)} runs:\n{rows}"
 
     @property
-    def model(self):
-        return self.static.model
+    def model(self) -> Model:
+        """The identified robot."""
+        raise NotImplementedError
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter of the model, by path."""
         return {name: self._parameter(name) for name in UNITS}
 
+    @property
+    def fitted(self) -> list[Parameter]:
+        """Those the fit moved."""
+        return [p for p in self.parameters.values() if p.source != "model"]
+
     def _parameter(self, name: str) -> Parameter:
-        value = float(get(self.model, name))
-        for kind, stage in self.static.stages.items():
-            if name in stage.names:
-                return self._fitted(name, value, kind, stage)
+        """A parameter the fit did not move."""
         frozen = name in self.options["frozen"]
         reason = "held at the given model's value" if frozen else f"taken from {self.start_from}; not fitted here"
+        value = float(get(self.model, name))
         return Parameter(name, value, UNITS[name], None, None, None, "frozen" if frozen else "assumed", reason, "model")
+
+    @property
+    def correlation(self) -> tuple[tuple[str, ...], np.ndarray]:
+        """Names and (k, k) correlations of the fitted parameters; NaN where not known."""
+        raise NotImplementedError
+
+    def _confounded(self, name: str) -> str:
+        names, correlation = self.correlation
+        i = names.index(name)
+        others = [
+            (abs(r), other, r)
+            for other, r in zip(names, correlation[i], strict=True)
+            if other != name and np.isfinite(r)
+        ]
+        if others and max(others)[0] > 0.8:
+            _, other, r = max(others)
+            return f"these data cannot part it from {other} (correlation {r:+.2f}); freeze it, or add data that can"
+        return "its effect on these data is below their scatter"
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a user must know before using the values, one line each."""
+        return self._about_logs()
+
+    def _about_logs(self) -> list[str]:
+        out = [line.removeprefix("left out: ") for line in self.said if line.startswith("left out: ")]
+        out += [f"{r.path}: partial: {r.damage.why} at {r.damage.where}" for r in self.runs if r.damage]
+        if self.start_from == NOMINAL and any(r.robot_id != PUBLISHED_FOR for r in self.runs):
+            out.append(
+                "no model given: geometry, mass, friction and all that was not fitted are OctRobot-I's, not this "
+                "robot's; give yours with --model"
+            )
+        return out
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of fit.json."""
+        raise NotImplementedError
+
+    def report(self, data: Mapping[str, Any]) -> str:
+        """The page of report.html, given `as_dict()`."""
+        raise NotImplementedError
+
+    def model_file(self) -> ModelFile:
+        """The identified robot as a model.toml holds it."""
+        sds = {p.name: p.sd for p in self.parameters.values() if p.sd is not None}
+        return replace(self.start, model=self.model, uncertainty=sds)
+
+    def save(self, out: str | os.PathLike[str]) -> None:
+        """Write fit.json, model.toml, report.html and result.mcap into the folder `out`; all of them or none.
+
+        Raises InputError where `out` cannot be written, or where that would replace one of the logs.
+        """
+        with artefacts(out, keep=[self.start_from, *(run.path for run in self.runs)]) as folder:
+            data = self.as_dict()
+            text = json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False)
+            (folder / "fit.json").write_text(text + "\n", encoding="utf-8")
+            (folder / "model.toml").write_text(modelfile.dumps(self.model_file(), self._comment()), encoding="utf-8")
+            (folder / "report.html").write_text(self.report(data), encoding="utf-8")
+            copy_overlay(self.runs, folder / "result.mcap", [self._overlay(i) for i in range(len(self.runs))])
+
+    def _comment(self) -> str:
+        fitted = ", ".join(p.name for p in self.fitted)
+        assumed = ", ".join(p.name for p in self.parameters.values() if p.source == "model")
+        logs = ", ".join(r.run_id for r in self.runs)
+        return (
+            f"Identified by ljjax {version('ljjax')} from {logs}.\nFitted: {fitted}.\n"
+            f"Taken from {self.start_from}: {assumed}."
+        )
+
+    def _overlay(self, index: int) -> dict[str, dict[str, Signal]]:
+        """`/sim` and `/residual` of one run."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class StaticResult(FitResult):
+    """A fit to steady points and probe stiffness: `static` holds its regressions."""
+
+    static: StaticFit
+
+    @property
+    def model(self) -> Model:
+        return self.static.model
+
+    def _parameter(self, name: str) -> Parameter:
+        for kind, stage in self.static.stages.items():
+            if name in stage.names:
+                return self._fitted(name, float(get(self.model, name)), kind, stage)
+        return super()._parameter(name)
 
     def _fitted(self, name: str, value: float, kind: str, stage: Stage) -> Parameter:
         i = stage.names.index(name)
@@ -136,19 +226,6 @@ class FitResult:
             )
         return Parameter(name, value, UNITS[name], sd, ci, jackknife, verdict, reason, kind)
 
-    def _confounded(self, name: str) -> str:
-        names, correlation = self.correlation
-        i = names.index(name)
-        others = [
-            (abs(r), other, r)
-            for other, r in zip(names, correlation[i], strict=True)
-            if other != name and np.isfinite(r)
-        ]
-        if others and max(others)[0] > 0.8:
-            _, other, r = max(others)
-            return f"these data cannot part it from {other} (correlation {r:+.2f}); freeze it, or add data that can"
-        return "its effect on these data is below their scatter"
-
     @property
     def correlation(self) -> tuple[tuple[str, ...], np.ndarray]:
         """Names and (k, k) correlations of the fitted parameters; NaN at a bound."""
@@ -156,17 +233,9 @@ class FitResult:
         d = np.sqrt(np.diag(c))
         return self.static.names, c / np.outer(d, d)
 
-    @cached_property
+    @property
     def warnings(self) -> list[str]:
-        """What a user must know before using the values, one line each."""
-        out = [line.removeprefix("left out: ") for line in self.said if line.startswith("left out: ")]
-        out += [f"{r.path}: partial: {r.damage.why} at {r.damage.where}" for r in self.runs if r.damage]
-        out += self.static.warnings
-        if self.start_from == NOMINAL and any(r.robot_id != PUBLISHED_FOR for r in self.runs):
-            out.append(
-                "no model given: geometry, mass, friction and all that was not fitted are OctRobot-I's, not this "
-                "robot's; give yours with --model"
-            )
+        out = self._about_logs() + self.static.warnings
         if (steady := self.static.stages.get("steady")) and np.any(steady.points.hold):
             held = int(np.sum(steady.points.hold))
             out.append(
@@ -200,41 +269,17 @@ class FitResult:
         return out
 
     def as_dict(self) -> dict[str, Any]:
-        """The content of fit.json."""
         from ljjax.fit.record import record
 
         return record(self)
 
-    def model_file(self) -> ModelFile:
-        sds = {p.name: p.sd for p in self.parameters.values() if p.sd is not None}
-        return ModelFile(self.model, sds, self.start.frozen)
-
-    def save(self, out: str | os.PathLike[str]) -> None:
-        """Write fit.json, model.toml, report.html and result.mcap into the folder `out`; all of them or none.
-
-        Raises InputError where `out` cannot be written, or where that would replace one of the logs.
-        """
+    def report(self, data: Mapping[str, Any]) -> str:
         from ljjax.fit.report import report
 
-        with artefacts(out, keep=[self.start_from, *(run.path for run in self.runs)]) as folder:
-            data = self.as_dict()
-            text = json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False)
-            (folder / "fit.json").write_text(text + "\n", encoding="utf-8")
-            (folder / "model.toml").write_text(modelfile.dumps(self.model_file(), self._comment()), encoding="utf-8")
-            (folder / "report.html").write_text(report(self, data), encoding="utf-8")
-            copy_overlay(self.runs, folder / "result.mcap", [self._overlay(i) for i in range(len(self.runs))])
-
-    def _comment(self) -> str:
-        fitted = ", ".join(self.static.names)
-        assumed = ", ".join(p.name for p in self.parameters.values() if p.source == "model")
-        logs = ", ".join(r.run_id for r in self.runs)
-        return (
-            f"Identified by ljjax {version('ljjax')} from {logs}.\nFitted: {fitted}.\n"
-            f"Taken from {self.start_from}: {assumed}."
-        )
+        return report(self, data)
 
     def _overlay(self, index: int) -> dict[str, dict[str, Signal]]:
-        """`/sim` and `/residual` of one run: what the model says in place of the measured tension and probe force."""
+        """What the model says in place of the measured tension and probe force."""
         sim: dict[str, Signal] = {}
         residual: dict[str, Signal] = {}
         run = self.runs[index]

@@ -1,56 +1,332 @@
-"""`fit(model, runs)`: the one verb of this room."""
+"""`fit(model, runs)`: the one verb of this room, and `fit_many` for many robots at once."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal
+
+import numpy as np
 
 from ljjax import modelfile
 from ljjax.data import OCTROBOT
 from ljjax.errors import InputError
-from ljjax.fit.points import collect
-from ljjax.fit.result import NOMINAL, FitResult
+from ljjax.fit.coordinates import Coordinates
+from ljjax.fit.dynamic import ROUNDS, Estimate, Problem, Round, estimate, predict
+from ljjax.fit.moving import DynamicResult
+from ljjax.fit.points import Points, collect, points_of
+from ljjax.fit.result import NOMINAL, FitResult, StaticResult
+from ljjax.fit.shooting import Asking, together
 from ljjax.fit.static import Constraints, Weights, fit_static
+from ljjax.fit.stochastic import descend
+from ljjax.fit.windows import Motion, Source, motion
 from ljjax.logs import Run
-from ljjax.model import UNITS, check
+from ljjax.model import UNITS, check, get, replace
 from ljjax.modelfile import ModelFile
+
+Method = Literal["lm", "adam"]
+Progress = Callable[[str, int, int], None]
+GEOMETRY = ("chain.half_length_m", "chain.radius_m")
+"""What a ruler measures better than any log: never fitted."""
+LEVELS = {"elastic.c1": 3, "elastic.c2": 2, "jamming.c5": 2}
+"""Pressure levels [kPa apart] without which a parameter cannot be found from moving logs."""
+PROFILE_POINTS, PROFILE_SDS = 9, 3.5
 
 
 def fit(
     model: ModelFile | None,
     runs: Sequence[Run],
     *,
+    held_out: Sequence[Run] = (),
     frozen: Sequence[str] = (),
+    inputs: Source = "commands",
+    method: Method = "lm",
+    restarts: int = 1,
+    profile: Sequence[str] = (),
     weights: Weights = "equal",
     constraints: Constraints = "none",
     seed: int = 0,
     model_from: str = "the given model",
+    progress: Progress | None = None,
 ) -> FitResult:
-    """Identify a robot from its runs: for now what is at rest, steady operating points and probe stiffness.
+    """Identify a robot from its runs.
+
+    Moving runs give everything (`DynamicResult`); steady operating points and probe stiffness join them. Without a
+    moving run, those alone give α₁ and c₁ … c₅ (`StaticResult`).
 
     Args:
-        model: geometry, starting values and what is frozen; None for OctRobot-I's geometry with assumed friction.
+        model: geometry, starting values, what is frozen, bounds and priors; None for OctRobot-I's geometry with
+            assumed friction.
         runs: logs of one robot, as `ljjax.logs.read_all` gives them.
-        frozen: parameters not to move, by path, beside those the model file freezes.
-        weights: `"equal"`, or `"published"` to divide by the standard deviations the logs state.
-        constraints: `"paper"` keeps α₁, c₂, c₃ ≥ 0 as the paper does.
-        seed: for what is random (nothing in a static fit).
+        held_out: more runs of the robot, not fitted, only predicted.
+        frozen: parameters not to move, by path, beside those the model file freezes. Geometry never moves; the lever
+            arm moves only where probe points or a frozen mass fix the scale of torques.
+        inputs: drive moving runs by their commands or by their measured tension and pressure.
+        method: `"lm"`, Levenberg–Marquardt; `"adam"`, stochastic steps on batches of windows before it, for data so
+            large that every step on all of them costs too much.
+        restarts: how many starts are tried, side by side; the first is the model, the others lie around it.
+        profile: parameters whose profile likelihood is wanted.
+        weights: (static fits) `"equal"`, or `"published"` to divide by the standard deviations the logs state.
+        constraints: (static fits) `"paper"` keeps α₁, c₂, c₃ ≥ 0 as the paper does.
+        seed: for restarts and stochastic steps.
         model_from: where the model came from, for the record.
+        progress: called with a stage's name, how many problems are done, and of how many.
 
     Raises:
         InputError: no usable data, parameters that the data cannot fix, several robots, unknown paths.
     """
-    for path in frozen:
-        if path not in UNITS:
-            raise InputError(f"--freeze {path}: no such parameter; expected one of {', '.join(UNITS)}")
     robots = sorted({r.robot_id for r in runs})
     if len(robots) > 1:
-        raise InputError(f"logs of {len(robots)} robots ({', '.join(robots)}); fit one robot at a time")
-    if model is None:
-        model, model_from = modelfile.load(OCTROBOT / "nominal.toml"), NOMINAL
-    held = tuple(dict.fromkeys((*model.frozen, *frozen)))
+        raise InputError(f"logs of {len(robots)} robots ({', '.join(robots)}); fit_many fits several")
+    found = fit_many(
+        model,
+        {robots[0] if robots else "": runs},
+        held_out={robots[0] if robots else "": held_out},
+        frozen=frozen,
+        inputs=inputs,
+        method=method,
+        restarts=restarts,
+        profile=profile,
+        weights=weights,
+        constraints=constraints,
+        seed=seed,
+        model_from=model_from,
+        progress=progress,
+    )
+    (result,) = found.values()
+    if isinstance(result, Exception):
+        raise result
+    return result
+
+
+def fit_many(
+    model: ModelFile | None | Mapping[str, ModelFile],
+    robots: Mapping[str, Sequence[Run]],
+    *,
+    held_out: Mapping[str, Sequence[Run]] | None = None,
+    frozen: Sequence[str] = (),
+    inputs: Source = "commands",
+    method: Method = "lm",
+    restarts: int = 1,
+    profile: Sequence[str] = (),
+    weights: Weights = "equal",
+    constraints: Constraints = "none",
+    seed: int = 0,
+    model_from: str = "the given model",
+    progress: Progress | None = None,
+) -> dict[str, FitResult | Exception]:
+    """Identify many robots at once, their windows side by side in one batch; arguments as in `fit`.
+
+    Args:
+        model: one for all, or one for each by robot.
+        robots: runs by robot.
+
+    Returns a result for each robot, or the error that kept it from one; a bad robot never loses the others.
+    """
+    for path in (*frozen, *profile):
+        if path not in UNITS:
+            raise InputError(f"{path}: no such parameter; expected one of {', '.join(UNITS)}")
+    results: dict[str, FitResult | Exception] = {}
+    cases: dict[str, _Case] = {}
+    options = {"weights": weights, "constraints": constraints, "inputs": inputs, "method": method, "seed": seed}
+    for robot, runs in robots.items():
+        own = model.get(robot) if isinstance(model, Mapping) else model
+        start, said_from = (modelfile.load(OCTROBOT / "nominal.toml"), NOMINAL) if own is None else (own, model_from)
+        held = tuple(dict.fromkeys((*start.frozen, *frozen)))
+        try:
+            case = _case(start, said_from, runs, (held_out or {}).get(robot, ()), held, inputs)
+            if case is None:
+                results[robot] = _statics(start, said_from, runs, held, {"frozen": held, **options})
+            else:
+                cases[robot] = case
+        except InputError as error:
+            results[robot] = error
+
+    def tell(stage: str) -> Callable[[int, int], None]:
+        return lambda done, count: progress(stage, done, count) if progress else None
+
+    names = list(cases)
+    rng = np.random.default_rng(seed)
+    tried = _restarted([cases[r].problem for r in names], restarts, rng, tell("starts")) if restarts > 1 else None
+    searches: list[Asking[Estimate]] = []
+    for i, robot in enumerate(names):
+        x0, rounds = (tried[i][0], ROUNDS[1:]) if tried else (None, ROUNDS)
+        if method == "adam":
+            searches.append(descend(cases[robot].problem, x0, np.random.default_rng(seed + i)))
+        else:
+            searches.append(estimate(cases[robot].problem, x0, rounds))
+    estimates = dict(zip(names, together(searches, tell("fit")), strict=True))
+    known = {robot: e for robot, e in estimates.items() if isinstance(e, Estimate) and cases[robot].tests}
+    predictions = together([predict(e, cases[robot].tests) for robot, e in known.items()], tell("held-out runs"))
+    after = dict(zip(known, predictions, strict=True))
+    for i, robot in enumerate(names):
+        found, case = estimates[robot], cases[robot]
+        if isinstance(found, Exception):
+            results[robot] = found
+            continue
+        test = after.get(robot)
+        results[robot] = DynamicResult(
+            estimate=found,
+            moving=case.moving,
+            held_out=None if isinstance(test, Exception) else test,
+            held_out_runs=[m.run for m in case.tests],
+            profiles=_profiles(found, [p for p in profile if p in found.problem.coordinates.names], tell("profiles")),
+            restarts=tried[i][1] if tried else (),
+            start=case.start,
+            start_from=case.start_from,
+            runs=case.runs,
+            said=case.said,
+            options={"frozen": case.frozen, **options, "restarts": restarts},
+        )
+    return {robot: results[robot] for robot in robots}
+
+
+class _Case:
+    """One robot's data, sorted, and its problem."""
+
+    def __init__(self, start, start_from, runs, said, frozen, problem, moving, tests):
+        self.start: ModelFile = start
+        self.start_from: str = start_from
+        self.runs: Sequence[Run] = runs
+        self.said: list[str] = said
+        self.frozen: tuple[str, ...] = frozen
+        self.problem: Problem = problem
+        self.moving: list[int] = moving
+        self.tests: list[Motion] = tests
+
+
+def _case(start: ModelFile, start_from: str, runs, held_out, frozen: tuple[str, ...], inputs: Source) -> _Case | None:
+    """The dynamic problem of one robot's runs; None where none of them moves."""
+    motions: list[Motion] = []
+    moving: list[int] = []
+    points: list[Points] = []
+    said: list[str] = []
+    seen: dict[str, str] = {}
+    for index, run in enumerate(runs):
+        if run.sha256 and run.sha256 in seen:
+            said.append(f"left out: {run.path}: the same log as {seen[run.sha256]}")
+            continue
+        seen[run.sha256] = run.path
+        static = run.experiment.lower().startswith("steady") or "probe" in run.signals
+        try:
+            if static:
+                found, how = points_of(run)
+                for p in found:
+                    p.run[:] = index
+                points += found
+                said.append(f"{run.path}: {how}")
+            else:
+                motions.append(motion(run, start.model.n, inputs))
+                moving.append(index)
+                said.append(f"{run.path}: {len(motions[-1].t)} samples over {np.ptp(motions[-1].t):.3g} s of motion")
+        except InputError as error:
+            said.append(f"left out: {error}")
+    if not motions:
+        return None
+    pressures = [float(p) for m in motions for p in (m.vacuum.min(), m.vacuum.max())]
+    top = max(pressures)
+    check(start.model, pressures, start_from)
+    levels = _levels(np.concatenate([m.vacuum for m in motions] + [p.pressure_kpa for p in points]))
+    probed = any(p.kind == "probe" for p in points)
+    held = set(frozen) | set(GEOMETRY)
+    if not probed and "chain.segment_mass_kg" not in frozen:
+        held.add("chain.lever_arm_m")
+    for name, needed in LEVELS.items():
+        if levels < needed and name not in held:
+            held.add(name)
+            said.append(f"{name} held: it needs {needed} pressures, and these runs have {levels}")
+    free = [p for p in UNITS if p not in held and p != "friction.sigma0"]
+    if not free:
+        raise InputError("every parameter is frozen; free one of them")
+    for name in start.bounds:
+        low, high = start.bounds[name]
+        value = float(get(start.model, name))
+        if name in free and not low < value < high:
+            raise InputError(
+                f"{start_from}: fit.bounds.{name} = [{low:g}, {high:g}] does not hold the starting value {value:g}; "
+                "move the one or the other"
+            )
+    tests = []
+    for run in held_out:
+        try:
+            tests.append(motion(run, start.model.n, inputs))
+        except InputError as error:
+            said.append(f"left out: {error}")
+    problem = Problem(Coordinates(start.model, free, top), motions, points, start.priors, start.bounds)
+    return _Case(start, start_from, list(runs), said, tuple(sorted(held & set(UNITS))), problem, moving, tests)
+
+
+def _levels(pressure: np.ndarray) -> int:
+    """How many pressures at least 1 kPa apart there are."""
+    ordered, count, last = np.unique(np.round(pressure, 2)), 0, -np.inf
+    for p in ordered:
+        if p > last + 1.0:
+            count, last = count + 1, p
+    return count
+
+
+def _statics(start: ModelFile, start_from: str, runs: Sequence[Run], held, options) -> StaticResult:
     steady, probe, said = collect(runs)
-    static = fit_static(model.model, steady, probe, frozen=held, weights=weights, constraints=constraints)
+    static = fit_static(
+        start.model, steady, probe, frozen=held, weights=options["weights"], constraints=options["constraints"]
+    )
     pressures = [float(p) for s in static.stages.values() for p in s.points.pressure_kpa]
     check(static.model, pressures, "the fit")
-    options = {"frozen": held, "weights": weights, "constraints": constraints, "seed": seed}
-    return FitResult(static, model, model_from, runs, said, options)
+    options = {name: options[name] for name in ("frozen", "weights", "constraints", "seed")}
+    return StaticResult(static=static, start=start, start_from=start_from, runs=runs, said=said, options=options)
+
+
+def _restarted(problems: Sequence[Problem], count: int, rng, progress) -> list[tuple[np.ndarray, list[float]]]:
+    """Where the best of several starts ended in the first round, and the errors of all, for each problem."""
+    starts = [
+        [p.coordinates.start + (0.1 * p.coordinates.spread * rng.normal(size=len(p.coordinates)) if i else 0.0)]
+        for p in problems
+        for i in range(count)
+    ]
+    asked = [estimate(p, starts[j * count + i][0], ROUNDS[:1]) for j, p in enumerate(problems) for i in range(count)]
+    found = together(asked, progress)
+    out = []
+    for j, p in enumerate(problems):
+        mine = found[j * count : (j + 1) * count]
+        error = [np.inf if isinstance(e, Exception) else float(np.exp(np.mean(np.log(e.sigma)))) for e in mine]
+        best = mine[int(np.argmin(error))]
+        out.append((p.coordinates.start if isinstance(best, Exception) else best.x, error))
+    return out
+
+
+def _profiles(found: Estimate, names: Sequence[str], progress) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """χ² above its least along each parameter, the others fitted anew at every value."""
+    if not names:
+        return {}
+    c = found.problem.coordinates
+    slope = c.jacobian(found.x)
+    sd = np.sqrt(np.diag(slope @ found.covariance @ slope.T))
+    grid, searches = {}, []
+    once = [Round(ROUNDS[-1].step_s, True, 1e-5, ROUNDS[-1].windows, 0.05, 0.0)]
+    for name in names:
+        i = c.names.index(name)
+        value = c.physical(found.x)[i]
+        values = value + sd[i] * np.linspace(-PROFILE_SDS, PROFILE_SDS, PROFILE_POINTS)
+        grid[name] = [v for v in values if v > 0 or value < 0 or name in ("gravity.alpha1", "jamming.c5")]
+        for v in grid[name]:
+            others = [n for n in c.names if n != name]
+            held = Coordinates(replace(found.model, {name: v}), others, c.pressure)
+            searches.append(estimate(Problem(held, found.problem.motions, found.problem.points), None, once))
+    ended = iter(together(searches, progress))
+    widening = np.diag(found.covariance) / np.diag(found.white)
+    out = {}
+    for name in names:
+        chi2 = []
+        for _ in grid[name]:
+            e = next(ended)
+            chi2.append(np.nan if isinstance(e, Exception) else _chi2_at(e, found))
+        wide = float(widening[c.names.index(name)])
+        out[name] = (np.array(grid[name]), (np.array(chi2) - np.nanmin(chi2)) / wide)
+    return out
+
+
+def _chi2_at(e: Estimate, scale: Estimate) -> float:
+    """χ² of an estimate by another's scale."""
+    out = float(np.sum(scale.weight * (e.error / scale.sigma) ** 2))
+    for p, (value, _), (_, s) in zip(e.problem.points, e.statics, scale.statics, strict=True):
+        out += float(np.sum(((value - p.value) / s) ** 2))
+    return out

@@ -9,13 +9,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from ljjax.fit.points import UNIT
-from ljjax.fit.result import FitResult
+from ljjax.fit.result import StaticResult
 from ljjax.page import number
 
 _PAPER = ("alpha1", "c1", "c2", "c3", "c4", "c5")
 
 
-def show(result: FitResult, out: Path, console: Console | None = None) -> None:
+def show(result: StaticResult, out: Path, console: Console | None = None) -> None:
     """Print what was found, and what to beware of."""
     console = console or Console(highlight=False)
     if not console.is_terminal:

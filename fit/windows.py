@@ -126,7 +126,10 @@ class Windows:
         """At most so many of the windows, evenly spread over the runs."""
         if len(self) <= most:
             return self
-        keep = np.unique(np.linspace(0, len(self) - 1, most).astype(int))
+        return self.only(np.unique(np.linspace(0, len(self) - 1, most).astype(int)))
+
+    def only(self, keep: np.ndarray) -> Windows:
+        """The windows of these indices, in ascending order, and the samples in them."""
         mine = np.isin(self.window, keep)
         of_window = {
             name: getattr(self, name)[keep] for name in ("run", "left", "right", "vacuum", "t", "q", "v", "q_sd")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +26,15 @@ class ModelFile:
         model: the parameters.
         uncertainty: standard deviation by path, in the parameter's unit.
         frozen: paths that a fit is not to move.
+        bounds: lowest and highest value by path that a fit may give, in the parameter's unit.
+        priors: mean and standard deviation by path of what was known before the fit, in the parameter's unit.
     """
 
     model: Model
     uncertainty: Mapping[str, float] = field(default_factory=dict)
     frozen: tuple[str, ...] = ()
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def load(path: str | os.PathLike[str]) -> ModelFile:
@@ -92,11 +96,36 @@ def load(path: str | os.PathLike[str]) -> ModelFile:
             if sd < 0:
                 raise InputError(f"{where}: uncertainty.{key} = {sd:g}: a standard deviation must be ≥ 0")
             uncertainty[key] = sd
-    return ModelFile(model, uncertainty, _frozen(where, _table(where, "fit", data.get("fit", {}))))
+    entries = _table(where, "fit", data.get("fit", {}))
+    _only(where, "fit", entries, {"frozen", "bounds", "priors"})
+    bounds = _pairs(where, "bounds", entries, "low", "high")
+    for path, (low, high) in bounds.items():
+        if not low < high:
+            raise InputError(f"{where}: fit.bounds.{path} is [{low:g}, {high:g}]; expected the lower first")
+    priors = _pairs(where, "priors", entries, "mean", "sd")
+    for path, (_, sd) in priors.items():
+        if not sd > 0:
+            raise InputError(f"{where}: fit.priors.{path}: sd is {sd:g}; expected a standard deviation > 0")
+    return ModelFile(model, uncertainty, _frozen(where, entries), bounds, priors)
+
+
+def _pairs(where: str, name: str, entries: dict[str, Any], first: str, second: str) -> dict[str, tuple[float, float]]:
+    """A table of path = [first, second]."""
+    out = {}
+    given: dict[str, Any] = {}
+    for path, value in _table(where, f"fit.{name}", entries.get(name, {})).items():
+        given |= {f"{path}.{k}": v for k, v in value.items()} if isinstance(value, dict) else {path: value}
+    for path, pair in given.items():
+        key = f"fit.{name}.{path}"
+        if path not in UNITS:
+            raise InputError(f"{where}: {key}: no such parameter; expected one of {', '.join(UNITS)}")
+        if not isinstance(pair, list) or len(pair) != 2:
+            raise InputError(f"{where}: {key} is {pair!r}; expected [{first}, {second}] in {UNITS[path]}")
+        out[path] = (_number(where, key, pair[0]), _number(where, key, pair[1]))
+    return out
 
 
 def _frozen(where: str, entries: dict[str, Any]) -> tuple[str, ...]:
-    _only(where, "fit", entries, {"frozen"})
     frozen = entries.get("frozen", [])
     if not isinstance(frozen, list):
         raise InputError(f'{where}: fit.frozen is {frozen!r}; expected a list such as ["gravity.alpha1"]')
@@ -137,7 +166,7 @@ def dumps(file: ModelFile, comment: str = "") -> str:
     A model in another gauge is written in the file's, σ₀ = 1. The options `constant_mass` and `lever` are not the
     robot's, and not in the file.
     """
-    file = ModelFile(in_gauge(file.model), file.uncertainty, file.frozen)
+    file = replace(file, model=in_gauge(file.model))
     lines = [f"# {line}" for line in comment.splitlines()] + [f'schema = "{SCHEMA}"']
     for table in TABLES:
         lines += ["", f"[{table}]"]
@@ -158,4 +187,7 @@ def dumps(file: ModelFile, comment: str = "") -> str:
             lines += [f"{name} = {float(sd)!r}" for name, sd in own.items()]
     if file.frozen:
         lines += ["", "[fit]", "frozen = [" + ", ".join(f'"{p}"' for p in file.frozen) + "]"]
+    for name, pairs in (("bounds", file.bounds), ("priors", file.priors)):
+        if pairs:
+            lines += ["", f"[fit.{name}]"] + [f'"{p}" = [{float(a)!r}, {float(b)!r}]' for p, (a, b) in pairs.items()]
     return "\n".join(lines) + "\n"

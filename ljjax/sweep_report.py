@@ -92,11 +92,9 @@ def _outputs(sweep: Sweep) -> list[str]:
         note = "Open points: sensitive. Marks at the foot: not simulated."
         return [page.figure(_curves(sweep, name, path), LABELS[name][0], note) for name in _shown(sweep)]
     out: list[str] = []
-    order = list(sweep.parameters)
+    main, share = _influences(sweep)
+    order = list(share)
     if len(order) > 2:
-        main = "rms_error" if "rms_error" in _shown(sweep) else "theta_final"
-        share = {path: explained(sweep.column(path).ravel(), _middle(sweep, main)) for path in order}
-        order.sort(key=lambda path: -share[path])
         out.append(
             page.figure(
                 _influence(share, order),
@@ -116,8 +114,16 @@ def _outputs(sweep: Sweep) -> list[str]:
     x, y = order[0], order[1]
     runs = "" if len(sweep["run"]) == 1 else " Medians over the runs."
     rest = " Medians over the other parameters." if len(order) > 2 and sweep.how == "grid" else ""
-    note = f"{x} and {y}. Blank: not simulated, or lost.{runs}{rest}"
+    blank = "Blank" if sweep.how == "grid" else "Crosses"
+    note = f"{x} and {y}. {blank}: not simulated, or lost.{runs}{rest}"
     return out + [page.figure(_map(sweep, name, x, y), LABELS[name][0], note) for name in _shown(sweep)]
+
+
+def _influences(sweep: Sweep) -> tuple[str, dict[str, float]]:
+    """The output that matters most, and what share of its variance each parameter explains, the largest first."""
+    main = "rms_error" if "rms_error" in _shown(sweep) else "theta_final"
+    share = {path: explained(sweep.column(path).ravel(), _middle(sweep, main)) for path in sweep.parameters}
+    return main, dict(sorted(share.items(), key=lambda item: -item[1]))
 
 
 def _over_runs(sweep: Sweep, name: str) -> Figure:
@@ -242,7 +248,7 @@ def _map(sweep: Sweep, name: str, x: str, y: str) -> Figure:
 
 def _motions(sweep: Sweep) -> list[str]:
     figures = []
-    path = sweep.parameters[0] if sweep.parameters else None
+    path = next(iter(_influences(sweep)[1]), None)
     status = sweep["status"].reshape(len(sweep["run"]), -1)
     for r in range(min(len(sweep["run"]), RUNS)):
         name = str(sweep["run"][r])

@@ -16,7 +16,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
-from rich.progress import track
+from rich.progress import Progress, track
 from rich.table import Table
 
 from benchmarks.recovery import evaluate, logs, plant
@@ -45,21 +45,23 @@ def model_of(values: Mapping[str, float]) -> Model:
     return Model(**{table: kind(**parts[table]) for table, kind in TABLES.items()})  # pyright: ignore[reportArgumentType]
 
 
-def one_by_one(runs: Mapping[str, Sequence[Run]], starts: Mapping[str, ModelFile]) -> Fitted:
-    """`fit` for every robot; what it raises is that robot's failure."""
-    from ljjax.fit import fit
+def side_by_side(runs: Mapping[str, Sequence[Run]], starts: Mapping[str, ModelFile]) -> Fitted:
+    """`fit_many`; what kept a robot from a result is that robot's failure."""
+    from ljjax.fit import fit_many
 
-    found: dict[str, Any] = {}
-    for robot_id in track(runs, "fits", console=Console(stderr=True)):
-        try:
-            found[robot_id] = fit(starts[robot_id], runs[robot_id], model_from="a wrong guess")
-        except Exception as error:  # a study names its failures and goes on
-            found[robot_id] = error
-    return found
+    with Progress(console=Console(stderr=True)) as bar:
+        tasks: dict[str, Any] = {}
+
+        def tell(stage: str, done: int, count: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(stage, total=count)
+            bar.update(tasks[stage], completed=done)
+
+        return fit_many(starts, runs, model_from="a wrong guess", progress=tell)
 
 
 def study(
-    count: int, seconds: float, seed: int, out: Path, fitter: Fitter = one_by_one, workers: int | None = None
+    count: int, seconds: float, seed: int, out: Path, fitter: Fitter = side_by_side, workers: int | None = None
 ) -> dict[str, Any]:
     """Make the logs, fit, evaluate; returns what `recovery.json` holds."""
     robots = draw(count, seed)

@@ -11,7 +11,8 @@ import io
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 from ljjax.errors import InputError, SolverError
 
@@ -56,6 +57,47 @@ def main(args: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("ljjax: interrupted; nothing written", file=sys.stderr)
         return 130
+
+
+def start_jax() -> None:
+    """Float64, and programs compiled once kept for the next call, in the user's cache folder.
+
+    LJJAX_CACHE names another folder; empty, nothing is kept.
+    """
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    folder = os.environ.get("LJJAX_CACHE", os.path.join(home, "ljjax"))
+    if folder:
+        with contextlib.suppress(OSError):
+            os.makedirs(folder, exist_ok=True)
+            jax.config.update("jax_compilation_cache_dir", folder)
+            jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+@contextlib.contextmanager
+def progress() -> Iterator[Callable[[str, int, int], None]]:
+    """`tell(stage, done, count)`, shown on the terminal; silent where standard error is none."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda stage, done, count: None
+        return
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"))
+    with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as bars:
+        tasks: dict[str, Any] = {}
+        rounds: dict[str, int] = {}
+
+        def tell(stage: str, done: int, count: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=count, note="")
+            rounds[stage] = rounds.get(stage, 0) + 1
+            bars.update(tasks[stage], completed=done, note=f"{done} of {count} done, pass {rounds[stage]}")
+
+        yield tell
 
 
 def _help() -> str:

@@ -32,9 +32,9 @@ def command(
         method: The solver made for this model, or diffrax's adaptive reference (much slower).
         step_s: Step of the fast solver, in s.
     """
-    import jax
+    from ljjax.cli import start_jax
 
-    jax.config.update("jax_enable_x64", True)
+    start_jax()
     import numpy as np
 
     from ljjax import modelfile

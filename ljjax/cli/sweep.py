@@ -49,9 +49,9 @@ def command(
         errors: Estimate each element's error by halving the step, at three times the cost.
         trajectories: Keep the angle over time, not only outputs such as its final value.
     """
-    import jax
+    from ljjax.cli import start_jax
 
-    jax.config.update("jax_enable_x64", True)
+    start_jax()
     from ljjax.logs import find, load_mapping, read_all
     from ljjax.sweep import sweep
     from ljjax.sweep_plan import parse, read_columns

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from ljjax.data import OCTROBOT
-from ljjax.fit import FitResult, fit
+from ljjax.fit import fit
 from ljjax.fit.points import Points
+from ljjax.fit.result import StaticResult
 from ljjax.logs import Run, Signal, read_all
 from ljjax.model import Model, replace
 from ljjax.modelfile import load
@@ -35,7 +36,7 @@ COLUMNS = {
 class Fitted:
     """A fit of OctRobot-I, saved: the result, its folder, and its fit.json."""
 
-    result: FitResult
+    result: StaticResult
     folder: Path
     json: dict[str, Any]
 
@@ -45,6 +46,7 @@ def octrobot(tmp_path_factory: pytest.TempPathFactory) -> Fitted:
     """The fit of `make demo`."""
     folder = tmp_path_factory.mktemp("octrobot") / "new" / "fit"
     result = fit(None, read_all([OCTROBOT / "identification.mcap", OCTROBOT / "open_loop_stiffness.mcap"]))
+    assert isinstance(result, StaticResult)
     result.save(folder)
     return Fitted(result, folder, json.loads((folder / "fit.json").read_text(encoding="utf-8")))
 

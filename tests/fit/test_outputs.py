@@ -224,7 +224,7 @@ def test_the_same_inputs_give_the_same_bytes(octrobot, tmp_path: Path):
 
 def test_a_fit_with_a_bound_and_a_frozen_parameter_is_written_whole(truth, measured, run_of, tmp_path: Path):
     """NaN inside (what a bound holds has no deviation) becomes null, the pictures cope, the verdicts say it."""
-    from ljjax.fit.result import FitResult
+    from ljjax.fit.result import StaticResult
     from ljjax.fit.static import fit_static
     from ljjax.modelfile import ModelFile
 
@@ -232,7 +232,14 @@ def test_a_fit_with_a_bound_and_a_frozen_parameter_is_written_whole(truth, measu
     steady, probe = measured(robot)
     static = fit_static(robot.model(), steady, probe, frozen=("elastic.c1",), constraints="paper")
     options = {"frozen": ("elastic.c1",), "weights": "equal", "constraints": "paper", "seed": 0}
-    result = FitResult(static, ModelFile(robot.model()), "the test", [run_of()], ["a.mcap: points"], options)
+    result = StaticResult(
+        static=static,
+        start=ModelFile(robot.model()),
+        start_from="the test",
+        runs=[run_of()],
+        said=["a.mcap: points"],
+        options=options,
+    )
     parameters = result.as_dict()["parameters"]
     assert parameters["gravity.alpha1"]["verdict"] == "at bound" and parameters["gravity.alpha1"]["sd"] is None
     assert parameters["elastic.c1"]["verdict"] == "frozen" and parameters["elastic.c1"]["value"] == 0.0

@@ -265,9 +265,10 @@ def test_the_file_opens_with_scipy_and_says_what_it_holds(place, grid):
         assert v["status"].flag_meanings == b"ok sensitive inadmissible failed"
         np.testing.assert_array_equal(v["status"].flag_values, [0, 1, 2, 3])
         assert all(hasattr(v[name], "units") and hasattr(v[name], "long_name") for name in OUTPUTS if name in v)
-        assert file.source.startswith(b"ljjax ") and file.model_file == str(place / "model.toml").encode()
-        assert len(file.model_sha256) == 64 and file.step_s == STEP
-        assert json.loads(file.model_parameters)["friction.mu_c"] == 0.025
+        about = file._attributes
+        assert about["source"].startswith(b"ljjax ") and about["model_file"] == str(place / "model.toml").encode()
+        assert len(about["model_sha256"]) == 64 and about["step_s"] == STEP
+        assert json.loads(about["model_parameters"])["friction.mu_c"] == 0.025
         assert "rms_error" not in v  # nothing was measured
 
 
@@ -474,8 +475,7 @@ def test_influence_is_the_share_of_variance_that_one_parameter_explains():
     assert explained(a, np.full(4000, np.nan)) == 0.0
 
 
-@pytest.mark.parametrize("how", ["grid", "samples"])
-@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize(("how", "count"), [("grid", 1), ("samples", 2), ("grid", 3)])
 def test_reports_of_any_number_of_parameters(model, how, count, monkeypatch):
     """Drawn from made-up outputs: every parameter is named, nothing warns."""
     paths = ("friction.mu_s", "jamming.c5", "elastic.c3")[:count]
