@@ -105,6 +105,14 @@ class Estimate:
         """(N, c) measured − predicted [rad]."""
         return self.windows.y - self.predicted
 
+    def chi2_by(self, scale: Estimate) -> float:
+        """χ² of this estimate by another's scale of residuals, of the same data."""
+        out = np.sum(scale.weight * (self.error / scale.sigma) ** 2)
+        out += np.sum((self.offset / np.array([m.q0_sd for m in self.problem.motions])) ** 2)
+        for p, (value, _), (_, s) in zip(self.problem.points, self.statics, scale.statics, strict=True):
+            out += np.sum(((value - p.value) / s) ** 2)
+        return float(out)
+
 
 @dataclass(eq=False)
 class _Point:
@@ -244,26 +252,19 @@ class Search:
         return _Scale(sigma, weight, statics)
 
     def _rows(self, point: _Point, scale: _Scale) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals and their derivatives (…, k) of all that is not a motion: points, priors, bounds."""
+        """Residuals and their derivatives (…, k) of all that is not a motion: points and priors."""
         c = self.problem.coordinates
         r, j = [(point.x - c.start) / c.spread], [np.diag(1 / c.spread)]
         for points, (value, slope), s in zip(self.problem.points, point.statics, scale.statics, strict=True):
             r.append((value - points.value) / s)
             j.append(slope / s)
-        if self.problem.priors or self.problem.bounds:
+        if self.problem.priors:
             physical, slope = c.physical(point.x), c.jacobian(point.x)
             for name, (mean, sd) in self.problem.priors.items():
                 if name in c.names:
                     i = c.names.index(name)
                     r.append(np.array([(physical[i] - mean) / sd]))
                     j.append(slope[i : i + 1] / sd)
-            for name, (low, high) in self.problem.bounds.items():
-                if name in c.names:
-                    i = c.names.index(name)
-                    width = 1e-4 * (high - low)
-                    beyond = min(physical[i] - low, 0.0) + max(physical[i] - high, 0.0)
-                    r.append(np.array([beyond / width]))
-                    j.append(slope[i : i + 1] / width * (beyond != 0))
         return np.concatenate(r), np.concatenate(j)
 
     def _chi2(self, point: _Point, scale: _Scale) -> float:
@@ -307,9 +308,10 @@ class Search:
                 raise FloatingPointError("the starting model does not simulate: its motion is not finite")
             a, g, (own, cross, pull) = self._normal(point, scale)
             history.append((which, self.asked, chi2 / self.windows.y.size, damping, point.x.copy()))
+            limits = self._limits(point.x)
             rejected = 0
             while True:
-                step = self._step(a, g, damping)
+                step = self._step(a, g, damping, limits)
                 gain = float(2 * g @ step - step @ a @ step)
                 if gain <= max(done, self.how.share * chi2) * (1.0 if damping <= 1e-2 else 1e-3):
                     converged = True
@@ -336,20 +338,45 @@ class Search:
         self.point, self.converged = point, converged
         return point.x
 
-    def _step(self, a: np.ndarray, g: np.ndarray, damping: float) -> np.ndarray:
-        """The damped step; coordinates that would go further than `FAR` go that far, the others make the best of it."""
+    def _limits(self, x: np.ndarray) -> list[tuple[np.ndarray, float, float]]:
+        """Bounded parameters at x: their slope (k,), and how far they may fall and rise."""
+        c = self.problem.coordinates
+        if not self.problem.bounds:
+            return []
+        value, slope = c.physical(x), c.jacobian(x)
+        index = {name: c.names.index(name) for name in self.problem.bounds if name in c.names}
+        return [(slope[i], *(limit - value[i] for limit in self.problem.bounds[name])) for name, i in index.items()]
+
+    def _step(self, a: np.ndarray, g: np.ndarray, damping: float, limits: list) -> np.ndarray:
+        """The damped step, least on the bounds it would cross; coordinates that would go further than `FAR` go that
+        far, and the others make the best of it."""
         d = np.sqrt(np.diag(a))
-        matrix = a + damping * np.diag(d**2)
-        limit = FAR * self.problem.coordinates.spread
+        matrix, g = a / np.outer(d, d) + damping * np.eye(len(d)), g / d  # in steps times d
+        most = FAR * self.problem.coordinates.spread * d
+        limits = [(slope / d, low, high) for slope, low, high in limits]
         step, free = np.zeros_like(g), np.ones(len(g), bool)
+        held: dict[int, float] = {}
         while free.any():
-            step[free] = np.linalg.solve(matrix[np.ix_(free, free)], (g - matrix[:, ~free] @ step[~free])[free])
-            over = free & (np.abs(step) > limit)
-            if not over.any():
+            rows = np.array([limits[i][0] for i in held]).reshape(len(held), len(g))
+            right = np.array(list(held.values())) - rows[:, ~free] @ step[~free]
+            corner = np.zeros((len(held), len(held)))
+            whole = np.block([[matrix[np.ix_(free, free)], rows[:, free].T], [rows[:, free], corner]])
+            pull = np.r_[(g - matrix[:, ~free] @ step[~free])[free], right]
+            step[free] = np.linalg.solve(whole, pull)[: int(free.sum())]
+            over = free & (np.abs(step) > most)
+            beyond = [
+                (i, float(np.clip(slope @ step, low, high)))
+                for i, (slope, low, high) in enumerate(limits)
+                if i not in held and not low - 1e-12 <= slope @ step <= high + 1e-12
+            ]
+            if over.any():
+                worst = int(np.argmax(np.where(over, np.abs(step) / most, 0.0)))
+                step[worst], free[worst] = np.sign(step[worst]) * most[worst], False
+            elif beyond and len(held) < int(free.sum()):
+                held[beyond[0][0]] = beyond[0][1]
+            else:
                 break
-            worst = int(np.argmax(np.where(over, np.abs(step) / limit, 0.0)))
-            step[worst], free[worst] = np.sign(step[worst]) * limit[worst], False
-        return step
+        return step / d
 
     def look(self, x: np.ndarray) -> Asking[None]:
         """Evaluate at x (k,), without a search."""

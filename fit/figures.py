@@ -1,19 +1,32 @@
-"""The pictures of a static fit."""
+"""The pictures of a static fit, and those that every fit has: intervals and correlations."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ljjax import page
 from ljjax.fit.points import UNIT, Points
-from ljjax.fit.result import StaticResult
+from ljjax.fit.result import FitResult, StaticResult
 from ljjax.fit.static import Stage, predict, prediction_sd
 from ljjax.page import ACCENT, INK, MUTED, axes, legend
 
 
-def _colours(count: int) -> np.ndarray:
+def colours(count: int) -> np.ndarray:
+    """(count, 4) colours from dark to light."""
     return matplotlib.colormaps["viridis"](np.linspace(0.05, 0.88, max(count, 1)))
+
+
+def panels(heights: Sequence[float], width: float = 5.6) -> tuple[Figure, list[Axes]]:
+    """A figure in the page's style of panels one below the other, of these heights in inches, over one x axis."""
+    with matplotlib.rc_context(page._STYLE):
+        figure = Figure(figsize=(width, sum(heights)), layout="constrained")
+        rows = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=list(heights))
+        return figure, list(rows[:, 0])
 
 
 def _curve(kind: str, pressure: np.ndarray, theta: np.ndarray) -> Points:
@@ -28,7 +41,7 @@ def tension(result: StaticResult, stage: Stage) -> Figure:
     points, levels = stage.points, stage.points.levels
     pressures = points.level_pressures()
     theta = np.linspace(min(0.0, points.theta.min()), points.theta.max() * 1.03, 60)
-    for k, (p, colour) in enumerate(zip(pressures, _colours(len(pressures)), strict=True)):
+    for k, (p, colour) in enumerate(zip(pressures, colours(len(pressures)), strict=True)):
         mine = levels == k
         sd = np.nan_to_num(points.sd[mine])
         ax.errorbar(np.degrees(points.theta[mine]), points.value[mine], sd, fmt="o", ms=3.5, color=colour, lw=1)
@@ -44,7 +57,7 @@ def residuals(stage: Stage) -> Figure:
     figure, ax = axes()
     points, levels = stage.points, stage.points.levels
     pressures = points.level_pressures()
-    for k, (p, colour) in enumerate(zip(pressures, _colours(len(pressures)), strict=True)):
+    for k, (p, colour) in enumerate(zip(pressures, colours(len(pressures)), strict=True)):
         mine = np.flatnonzero(levels == k)
         mine = mine[np.argsort(points.theta[mine])]
         ax.plot(
@@ -137,10 +150,10 @@ def left_out(stage: Stage) -> Figure:
     return figure
 
 
-def intervals(result: StaticResult) -> Figure:
+def intervals(result: FitResult) -> Figure:
     """Every fitted parameter's 95 % interval relative to its value, and its range over left-out pressures."""
     fitted = [p for p in result.parameters.values() if p.sd]
-    figure, ax = axes(height=0.9 + 0.48 * max(len(fitted), 3))
+    figure, ax = axes(height=0.9 + (0.48 if len(fitted) < 8 else 0.32) * max(len(fitted), 3))
     for i, p in enumerate(fitted):
         good = p.settled
         size = abs(p.value)
@@ -164,8 +177,10 @@ def intervals(result: StaticResult) -> Figure:
     ax.axvline(0, color=INK, lw=0.8)
     for edge in (-100, 100):
         ax.axvline(edge, color="#c77700", lw=1, ls=":")
-    ax.set_xscale("symlog", linthresh=10)
-    ax.set_xticks([-100, -10, 0, 10, 100], ["−100", "−10", "0", "10", "100"])
+    close = bool(fitted) and np.median([(p.sd or 0.0) / abs(p.value) for p in fitted]) < 0.02
+    ticks = np.array([-100, -10, -1, 0, 1, 10, 100] if close else [-100, -10, 0, 10, 100])
+    ax.set_xscale("symlog", linthresh=1 if close else 10)
+    ax.set_xticks(ticks, [f"{tick}".replace("-", "−") for tick in ticks])
     ax.set_yticks(range(len(fitted)), [p.name for p in fitted])
     ax.invert_yaxis()
     ax.set(xlabel="deviation from the estimate [% of its size]")
@@ -173,18 +188,28 @@ def intervals(result: StaticResult) -> Figure:
     return figure
 
 
-def correlation(result: StaticResult) -> Figure:
-    """Correlation matrix of the fitted parameters."""
-    figure, ax = axes(height=4.3)
+def correlation(result: FitResult) -> Figure:
+    """Correlation matrix of the fitted parameters; in a large one only what is far from 0 is written out."""
     names, matrix = result.correlation
+    large = len(names) > 8
+    figure, ax = axes(height=5.2 if large else 4.3)
     ax.imshow(matrix, cmap="RdBu_r", vmin=-1, vmax=1)
-    short = [name.split(".")[1] for name in names]
-    ax.set_xticks(range(len(short)), short)
+    short = [name.split(".")[-1] for name in names]
+    ax.set_xticks(range(len(short)), short, rotation=90 if large else 0)
     ax.set_yticks(range(len(short)), short)
     ax.grid(False)
     for i in range(len(short)):
         for j in range(len(short)):
-            if np.isfinite(matrix[i, j]):
-                colour = "white" if abs(matrix[i, j]) > 0.6 else INK
-                ax.text(j, i, f"{round(matrix[i, j], 2) + 0.0:.2f}", ha="center", va="center", fontsize=9, color=colour)
+            r = matrix[i, j]
+            if np.isfinite(r) and (not large or (i != j and abs(r) > 0.3)):
+                text = f"{round(r, 2) + 0.0:.2f}"
+                ax.text(
+                    j,
+                    i,
+                    text.replace("0.", ".", 1) if large else text,
+                    ha="center",
+                    va="center",
+                    fontsize=7.5 if large else 9,
+                    color="white" if abs(r) > 0.6 else INK,
+                )
     return figure

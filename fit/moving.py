@@ -116,11 +116,10 @@ class DynamicResult(FitResult):
         width = 1.96 * min(share, 10.0)
         ci = (value * np.exp(-width), value * np.exp(width)) if positive else (value - 1.96 * sd, value + 1.96 * sd)
         bounds = self.estimate.problem.bounds.get(name)
-        if bounds and not bounds[0] < value < bounds[1]:
-            reason = f"the data pull it past its bound {bounds[0] if value <= bounds[0] else bounds[1]:g}"
-            return Parameter(
-                name, float(np.clip(value, *bounds)), UNITS[name], None, None, None, "at bound", reason, "dynamic"
-            )
+        if bounds and min(value - bounds[0], bounds[1] - value) < 1e-3 * (bounds[1] - bounds[0]):
+            near = min(bounds, key=lambda b: abs(b - value))
+            reason = f"the data pull it past its bound {near:g}"
+            return Parameter(name, float(near), UNITS[name], None, None, None, "at bound", reason, "dynamic")
         if share > LOOSE or (not positive and ci[0] <= 0 <= ci[1]):
             verdict, reason = "not identifiable", f"{self._confounded(name)}; what would help: {HELPS.get(name, '')}"
         else:

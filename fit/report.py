@@ -1,4 +1,4 @@
-"""report.html of a static fit: pictures first, tables under them."""
+"""report.html of a static fit: pictures first, tables under them; and the tables that every fit has."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from ljjax import page
 from ljjax.fit import figures
 from ljjax.fit.points import UNIT
-from ljjax.fit.result import StaticResult
+from ljjax.fit.result import FitResult, StaticResult
 from ljjax.page import number
 
 
@@ -31,9 +31,9 @@ def report(result: StaticResult, data: Mapping[str, Any]) -> str:
         if (inner := data["held_out"][kind]["rmse_inner"]) is not None:
             headline.append((f"{inner:.3g} {unit}", f"RMS error at inner pressures left out, {kind}"))
     parts = [page.cards(headline), page.beware(result.warnings), '<div class="grid">', *_figures(result), "</div>"]
-    parts += ["<h2>Parameters</h2>", _parameters(result, data), "<h2>In the paper’s units</h2>", _paper(data)]
+    parts += ["<h2>Parameters</h2>", parameters_table(result, data), "<h2>In the paper’s units</h2>", _paper(data)]
     parts += ["<h2>Errors by pressure</h2>", _errors(result, data), "<h2>Where the fit is worst</h2>", _worst(result)]
-    parts += ["<h2>Made from</h2>", _inputs(data), "<h2>Assumed, not fitted</h2>", _assumed(result, data)]
+    parts += ["<h2>Made from</h2>", inputs_table(data), "<h2>Assumed, not fitted</h2>", assumed_table(result, data)]
     return page.page(f"{robots or 'Robot'}: identified model", subtitle, parts)
 
 
@@ -77,11 +77,11 @@ def _figures(result: StaticResult) -> list[str]:
     return out
 
 
-def _parameters(result: StaticResult, data: Mapping[str, Any]) -> str:
+def parameters_table(result: FitResult, data: Mapping[str, Any]) -> str:
+    """Every fitted parameter, its uncertainty, and why it is or is not known."""
     rows = []
-    for p in result.parameters.values():
-        if p.source == "model":
-            continue
+    pressures = any(p.sd_over_pressures is not None for p in result.fitted)
+    for p in result.fitted:
         low, high = p.ci95 or (None, None)
         mark = "good" if p.settled else "bad"
         rows.append(
@@ -92,13 +92,14 @@ def _parameters(result: StaticResult, data: Mapping[str, Any]) -> str:
                 escape(p.unit),
                 f'<span class="{mark}">{p.judgement}</span>',
                 f"{number(low)} … {number(high)}",
-                number(p.sd_over_pressures),
+                *([number(p.sd_over_pressures)] if pressures else []),
                 f'<span class="why">{escape(p.reason)}</span>',
             ]  # fmt: skip
         )
-    heads = ["parameter", "value", "± 1 sd", "unit", "verdict", "95 % interval", "± over pressures", "why"]
+    heads = ["parameter", "value", "± 1 sd", "unit", "verdict", "95 % interval"]
+    heads += [*(["± over pressures"] if pressures else []), "why"]
     note = f"<p class='sub'>SI, with lever arm {data['lever_arm_m']:g} m; gauge {escape(data['gauge'])}.</p>"
-    return note + page.table(heads, rows, numeric=(1, 2, 5, 6))
+    return note + page.table(heads, rows, numeric=(1, 2, 5, 6) if pressures else (1, 2, 5))
 
 
 def _paper(data: Mapping[str, Any]) -> str:
@@ -162,7 +163,8 @@ def _worst(result: StaticResult) -> str:
     return page.table(heads, rows, numeric=(2, 3, 4, 5, 6, 7))
 
 
-def _inputs(data: Mapping[str, Any]) -> str:
+def inputs_table(data: Mapping[str, Any]) -> str:
+    """The logs it was made from."""
     rows = [
         [
             escape(x["run_id"]), escape(x["experiment"]), f"<code>{escape(x['file'])}</code>",
@@ -173,7 +175,8 @@ def _inputs(data: Mapping[str, Any]) -> str:
     return page.table(["run", "experiment", "file", "sha256", "state"], rows)
 
 
-def _assumed(result: StaticResult, data: Mapping[str, Any]) -> str:
+def assumed_table(result: FitResult, data: Mapping[str, Any]) -> str:
+    """What was not fitted, and where its values came from."""
     rows = [
         [f"<code>{p.name}</code>", number(p.value, 6), escape(p.unit), p.verdict]
         for p in result.parameters.values()

@@ -26,7 +26,7 @@ from ljjax.modelfile import ModelFile
 Method = Literal["lm", "adam"]
 Progress = Callable[[str, int, int], None]
 GEOMETRY = ("chain.half_length_m", "chain.radius_m")
-"""What a ruler measures better than any log: never fitted."""
+"""What a ruler measures better than any log: fitted only where the model file frees it."""
 LEVELS = {"elastic.c1": 3, "elastic.c2": 2, "jamming.c5": 2}
 """Pressure levels [kPa apart] without which a parameter cannot be found from moving logs."""
 PROFILE_POINTS, PROFILE_SDS = 9, 3.5
@@ -58,8 +58,8 @@ def fit(
             assumed friction.
         runs: logs of one robot, as `ljjax.logs.read_all` gives them.
         held_out: more runs of the robot, not fitted, only predicted.
-        frozen: parameters not to move, by path, beside those the model file freezes. Geometry never moves; the lever
-            arm moves only where probe points or a frozen mass fix the scale of torques.
+        frozen: parameters not to move, by path, beside those the model file freezes. Geometry moves only if the
+            model file frees it, the lever arm also where probe points fix the scale of torques.
         inputs: drive moving runs by their commands or by their measured tension and pressure.
         method: `"lm"`, Levenberg–Marquardt; `"adam"`, stochastic steps on batches of windows before it, for data so
             large that every step on all of them costs too much.
@@ -134,10 +134,10 @@ def fit_many(
         held = tuple(dict.fromkeys((*start.frozen, *frozen)))
         try:
             case = _case(start, said_from, runs, (held_out or {}).get(robot, ()), held, inputs)
-            if case is None:
-                results[robot] = _statics(start, said_from, runs, held, {"frozen": held, **options})
-            else:
+            if isinstance(case, _Case):
                 cases[robot] = case
+            else:
+                results[robot] = _statics(start, said_from, runs, held, {"frozen": held, **options}, case)
         except InputError as error:
             results[robot] = error
 
@@ -194,8 +194,10 @@ class _Case:
         self.tests: list[Motion] = tests
 
 
-def _case(start: ModelFile, start_from: str, runs, held_out, frozen: tuple[str, ...], inputs: Source) -> _Case | None:
-    """The dynamic problem of one robot's runs; None where none of them moves."""
+def _case(
+    start: ModelFile, start_from: str, runs, held_out, frozen: tuple[str, ...], inputs: Source
+) -> _Case | list[str]:
+    """The dynamic problem of one robot's runs; where none of them moves, what was said of each."""
     motions: list[Motion] = []
     moving: list[int] = []
     points: list[Points] = []
@@ -221,15 +223,13 @@ def _case(start: ModelFile, start_from: str, runs, held_out, frozen: tuple[str, 
         except InputError as error:
             said.append(f"left out: {error}")
     if not motions:
-        return None
+        return said
     pressures = [float(p) for m in motions for p in (m.vacuum.min(), m.vacuum.max())]
     top = max(pressures)
     check(start.model, pressures, start_from)
     levels = _levels(np.concatenate([m.vacuum for m in motions] + [p.pressure_kpa for p in points]))
     probed = any(p.kind == "probe" for p in points)
-    held = set(frozen) | set(GEOMETRY)
-    if not probed and "chain.segment_mass_kg" not in frozen:
-        held.add("chain.lever_arm_m")
+    held = set(frozen) | {*GEOMETRY, *([] if probed else ["chain.lever_arm_m"])} - set(start.free)
     for name, needed in LEVELS.items():
         if levels < needed and name not in held:
             held.add(name)
@@ -264,8 +264,12 @@ def _levels(pressure: np.ndarray) -> int:
     return count
 
 
-def _statics(start: ModelFile, start_from: str, runs: Sequence[Run], held, options) -> StaticResult:
-    steady, probe, said = collect(runs)
+def _statics(start: ModelFile, start_from: str, runs: Sequence[Run], held, options, moving) -> StaticResult:
+    try:
+        steady, probe, said = collect(runs)
+    except InputError as error:
+        calm = [line.removeprefix("left out: ") for line in moving if "no excitation" in line]
+        raise InputError("; ".join(calm)) if len(calm) == len(runs) else error from None
     static = fit_static(
         start.model, steady, probe, frozen=held, weights=options["weights"], constraints=options["constraints"]
     )
@@ -318,15 +322,7 @@ def _profiles(found: Estimate, names: Sequence[str], progress) -> dict[str, tupl
         chi2 = []
         for _ in grid[name]:
             e = next(ended)
-            chi2.append(np.nan if isinstance(e, Exception) else _chi2_at(e, found))
+            chi2.append(np.nan if isinstance(e, Exception) else e.chi2_by(found))
         wide = float(widening[c.names.index(name)])
         out[name] = (np.array(grid[name]), (np.array(chi2) - np.nanmin(chi2)) / wide)
-    return out
-
-
-def _chi2_at(e: Estimate, scale: Estimate) -> float:
-    """χ² of an estimate by another's scale."""
-    out = float(np.sum(scale.weight * (e.error / scale.sigma) ** 2))
-    for p, (value, _), (_, s) in zip(e.problem.points, e.statics, scale.statics, strict=True):
-        out += float(np.sum(((value - p.value) / s) ** 2))
     return out

@@ -25,7 +25,7 @@ class ModelFile:
     Attributes:
         model: the parameters.
         uncertainty: standard deviation by path, in the parameter's unit.
-        frozen: paths that a fit is not to move.
+        frozen: paths that a fit is not to move; `free`, those that it is to move although it would not by itself.
         bounds: lowest and highest value by path that a fit may give, in the parameter's unit.
         priors: mean and standard deviation by path of what was known before the fit, in the parameter's unit.
     """
@@ -35,6 +35,7 @@ class ModelFile:
     frozen: tuple[str, ...] = ()
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    free: tuple[str, ...] = ()
 
 
 def load(path: str | os.PathLike[str]) -> ModelFile:
@@ -97,7 +98,7 @@ def load(path: str | os.PathLike[str]) -> ModelFile:
                 raise InputError(f"{where}: uncertainty.{key} = {sd:g}: a standard deviation must be ≥ 0")
             uncertainty[key] = sd
     entries = _table(where, "fit", data.get("fit", {}))
-    _only(where, "fit", entries, {"frozen", "bounds", "priors"})
+    _only(where, "fit", entries, {"frozen", "free", "bounds", "priors"})
     bounds = _pairs(where, "bounds", entries, "low", "high")
     for path, (low, high) in bounds.items():
         if not low < high:
@@ -106,7 +107,10 @@ def load(path: str | os.PathLike[str]) -> ModelFile:
     for path, (_, sd) in priors.items():
         if not sd > 0:
             raise InputError(f"{where}: fit.priors.{path}: sd is {sd:g}; expected a standard deviation > 0")
-    return ModelFile(model, uncertainty, _frozen(where, entries), bounds, priors)
+    frozen, free = _paths(where, "frozen", entries), _paths(where, "free", entries)
+    if both := set(frozen) & set(free):
+        raise InputError(f"{where}: fit.free and fit.frozen both hold {', '.join(sorted(both))}; keep one")
+    return ModelFile(model, uncertainty, frozen, bounds, priors, free)
 
 
 def _pairs(where: str, name: str, entries: dict[str, Any], first: str, second: str) -> dict[str, tuple[float, float]]:
@@ -125,14 +129,14 @@ def _pairs(where: str, name: str, entries: dict[str, Any], first: str, second: s
     return out
 
 
-def _frozen(where: str, entries: dict[str, Any]) -> tuple[str, ...]:
-    frozen = entries.get("frozen", [])
-    if not isinstance(frozen, list):
-        raise InputError(f'{where}: fit.frozen is {frozen!r}; expected a list such as ["gravity.alpha1"]')
-    for path in frozen:
+def _paths(where: str, name: str, entries: dict[str, Any]) -> tuple[str, ...]:
+    given = entries.get(name, [])
+    if not isinstance(given, list):
+        raise InputError(f'{where}: fit.{name} is {given!r}; expected a list such as ["gravity.alpha1"]')
+    for path in given:
         if not isinstance(path, str) or path not in UNITS:
-            raise InputError(f"{where}: fit.frozen: {path!r} is no parameter; expected one of {', '.join(UNITS)}")
-    return tuple(frozen)
+            raise InputError(f"{where}: fit.{name}: {path!r} is no parameter; expected one of {', '.join(UNITS)}")
+    return tuple(given)
 
 
 def _table(where: str, key: str, value: Any) -> dict[str, Any]:
@@ -185,8 +189,11 @@ def dumps(file: ModelFile, comment: str = "") -> str:
         if own:
             lines += ["", f"[uncertainty.{table}]  # standard deviations"]
             lines += [f"{name} = {float(sd)!r}" for name, sd in own.items()]
-    if file.frozen:
-        lines += ["", "[fit]", "frozen = [" + ", ".join(f'"{p}"' for p in file.frozen) + "]"]
+    if file.frozen or file.free:
+        lines += ["", "[fit]"]
+    for name, paths in (("frozen", file.frozen), ("free", file.free)):
+        if paths:
+            lines.append(f"{name} = [" + ", ".join(f'"{p}"' for p in paths) + "]")
     for name, pairs in (("bounds", file.bounds), ("priors", file.priors)):
         if pairs:
             lines += ["", f"[fit.{name}]"] + [f'"{p}" = [{float(a)!r}, {float(b)!r}]' for p, (a, b) in pairs.items()]

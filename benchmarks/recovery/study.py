@@ -21,7 +21,7 @@ from rich.table import Table
 
 from benchmarks.recovery import evaluate, logs, plant
 from benchmarks.recovery.experiments import PERIOD_S, plan
-from benchmarks.recovery.robots import Robot, draw
+from benchmarks.recovery.robots import GEOMETRY, Robot, draw
 from ljjax.inputs import Inputs
 from ljjax.logs import Run, find, read_all
 from ljjax.model import TABLES, Model
@@ -69,7 +69,10 @@ def study(
     for done in logs.make(robots, out / "logs", seconds, seed, workers or os.cpu_count() or 1):
         bar.print(f"logs of {done} of {count} robots")
     train = {r.robot_id: read_all(find([str(out / "logs" / r.robot_id / "train")])) for r in robots}
-    starts = {r.robot_id: ModelFile(model_of(r.start), frozen=r.known) for r in robots}
+    starts = {
+        r.robot_id: ModelFile(model_of(r.start), frozen=r.known, free=tuple(set(GEOMETRY) - set(r.known)))
+        for r in robots
+    }
     fitted = fitter(train, starts)
 
     rows, failures, held_out = [], [], []

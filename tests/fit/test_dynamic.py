@@ -1,0 +1,321 @@
+"""Identification from moving logs: on runs simulated by the package, small so that they compile and run quickly."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from ljjax.errors import InputError
+from ljjax.fit import fit, fit_many
+from ljjax.fit.coordinates import Coordinates
+from ljjax.fit.dynamic import ROUNDS, Search, bandwidth
+from ljjax.fit.moving import DynamicResult, profile_interval
+from ljjax.fit.pooling import pool
+from ljjax.fit.shooting import together
+from ljjax.fit.windows import STEPS, cut, motion, white_noise
+from ljjax.inputs import Inputs
+from ljjax.logs import Run, Signal
+from ljjax.model import Chain, Elastic, Friction, Gravity, Jamming, Model, get, replace
+from ljjax.modelfile import ModelFile
+from ljjax.simulation import rest, simulate
+from ljjax.stiffness import probe_stiffness
+
+P_ATM = 101_325.0
+NOISE = np.radians(0.02)
+KNOWN = ("chain.segment_mass_kg", "friction.sigma1", "friction.sigma3", "friction.v_s", "friction.mu_s")
+"""What three short runs cannot show well; held, so that the tests stay small."""
+
+
+def robot(n: int = 2) -> Model:
+    """A robot whose every identified parameter matters in a few seconds."""
+    x = jnp_
+    return Model(
+        Chain(x(0.021), x(0.025), x(0.02), x(0.05), segments=n),
+        Gravity(x(0.4)),
+        Elastic(x(-6e-4), x(0.05), x(1.5)),
+        Jamming(x(8.0), x(3.8)),
+        Friction(x(0.004), x(0.0125), x(1.6), x(0.0032), x(0.0036), x(0.045)),
+    )
+
+
+def logged(model: Model, seed: int, seconds: float = 3.0, robot_id: str = "r1", theta: bool = False) -> Run:
+    """A run of `robot`: a multisine of net tension on steps of the vacuum, from rest, with white noise."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds / 0.01) + 1) * 0.01
+    level = 10.0 * rng.permutation(4)[np.minimum((4 * t / seconds).astype(int), 3)]
+    hz = np.array([0.4, 0.9, 2.1, 4.0])
+    wave = np.sum(np.sin(2 * np.pi * (hz * t[:, None] + rng.uniform(size=4))) / np.sqrt(hz), axis=1)
+    net = 9.0 * wave * np.clip((t - 0.1) / 0.3, 0, 1)
+    u = np.stack([np.maximum(net, 0), np.maximum(-net, 0)], axis=1)
+    out = simulate(model, Inputs(jnp_(t), jnp_(u), jnp_(level)), at=t, step_s=0.00125)
+    y = np.asarray(out.state.q) + NOISE * rng.normal(size=(len(t), model.n))
+    if theta:
+        y = y.mean(axis=1, keepdims=True)
+    names = ("theta",) if theta else tuple(f"q{i + 1}" for i in range(model.n))
+    tendons = ("tendon_left", "tendon_right")
+    signals = {
+        "cmd_tendons": Signal(t, u, tendons, "N", "/real/cmd/tendons"),
+        "cmd_pressure": Signal(t, P_ATM - 1e3 * level[:, None], ("pressure",), "Pa", "/real/cmd/pressure"),
+        "shape": Signal(t, y, names, "rad", "/real/shape"),
+    }
+    name = f"{robot_id}-{seed}"
+    metadata = {"run_id": name, "robot_id": robot_id, "experiment": "multisine", "p_atm_pa": str(P_ATM)}
+    return Run(f"{name}.mcap", hashlib.sha256(name.encode()).hexdigest(), 0, signals, metadata)
+
+
+def jnp_(x) -> jnp.ndarray:
+    return jnp.asarray(x, float)
+
+
+def guess(model: Model) -> ModelFile:
+    """The robot, a quarter off in all that is fitted."""
+    off = {p: float(get(model, p)) * f for p, f in zip(MOVED, (1.25, 0.8, 1.3, 0.75, 1.25, 0.8, 0.8, 1.1), strict=True)}
+    return ModelFile(replace(model, off), frozen=KNOWN)
+
+
+MOVED = (
+    *("gravity.alpha1", "elastic.c1", "elastic.c2", "elastic.c3", "jamming.c4", "jamming.c5"),
+    *("friction.sigma2", "friction.mu_c"),
+)
+
+
+@pytest.fixture(scope="module")
+def found() -> DynamicResult:
+    """Three runs fitted, a fourth held out."""
+    model = robot()
+    result = fit(
+        guess(model), [logged(model, s) for s in range(3)], held_out=[logged(model, 7)], profile=["jamming.c4"]
+    )
+    assert isinstance(result, DynamicResult)
+    return result
+
+
+def test_the_truth_is_found_within_the_stated_deviations(found):
+    z = [(p.value - float(get(robot(), p.name))) / (p.sd or 0.0) for p in found.fitted]
+    assert tuple(p.name for p in found.fitted) == MOVED
+    assert np.sum(np.square(z)) < stats.chi2.ppf(0.999, len(z))
+    assert np.sum(np.square(z)) > stats.chi2.ppf(0.001, len(z))  # the deviations are not padded either
+    assert all(p.verdict == "identifiable" for p in found.fitted)
+
+
+def test_what_is_left_over_is_the_noise(found):
+    np.testing.assert_allclose(found.estimate.sigma, NOISE, rtol=0.1)
+    assert not found.warnings
+    assert 0.8 < found.colour < 1.3
+    roles = [e.role for e in found.run_errors]
+    assert roles == ["train"] * 3 + ["held_out"]
+    for e in found.run_errors:
+        assert e.rms == pytest.approx(NOISE / np.sqrt(2), rel=0.15)
+        assert not e.sensitive
+    assert all(e.left_out and e.left_out >= e.rms for e in found.run_errors[:3])
+
+
+def test_predictions_are_the_free_runs_of_the_simulator(found):
+    """Windows that meet are one run: what `simulate` gives from the fitted start."""
+    e = found.estimate
+    m = e.problem.motions[1]
+    inputs = Inputs(jnp_(m.input_t), jnp_(m.tendons), jnp_(m.vacuum))
+    start = rest(e.model, inputs, jnp_(m.q0 + e.offset[1]))
+    alone = simulate(e.model, inputs, at=m.t, initial=start, step_s=e.windows.h)
+    np.testing.assert_allclose(e.predicted[e.windows.sample_run == 1], alone.state.q, atol=2e-6)
+
+
+def test_sensitivities_are_those_of_the_simulator(found):
+    """Against central differences of whole free runs."""
+    e = found.estimate
+    m, c = e.problem.motions[0], e.problem.coordinates
+    inputs = Inputs(jnp_(m.input_t), jnp_(m.tendons), jnp_(m.vacuum))
+
+    def path(x):
+        model = c.model(x)
+        out = simulate(model, inputs, at=m.t, initial=rest(model, inputs, jnp_(m.q0 + e.offset[0])), step_s=e.windows.h)
+        return np.asarray(out.state.q)
+
+    search = Search(e.problem, e.windows, ROUNDS[-1])
+    search.start_offset = e.offset
+    together([search.look(e.x)])
+    assert search.point is not None
+    raw = search.point.answer.jacobian[e.windows.sample_run == 0]
+    for i in (0, 3, 4, 7):
+        d = np.zeros(len(c))
+        d[i] = 1e-5
+        central = (path(e.x + d) - path(e.x - d)) / 2e-5
+        assert np.linalg.norm(raw[..., i] - central) < 0.01 * np.linalg.norm(central), c.names[i]
+
+
+def test_a_profile_agrees_with_the_deviation(found):
+    values, chi2 = found.profiles["jamming.c4"]
+    p = found.parameters["jamming.c4"]
+    low, high = profile_interval(values, chi2)
+    assert low is not None and high is not None and p.sd is not None and low < p.value < high
+    assert (high - low) / (2 * 1.96 * p.sd) == pytest.approx(1.0, abs=0.2)
+
+
+def test_robots_are_fitted_side_by_side_and_a_bad_one_loses_no_other(found):
+    other = replace(robot(), {"elastic.c3": 1.9, "friction.mu_c": 0.003})
+    still = logged(robot(), 5)
+    calm = dict(still.signals) | {"shape": dataclasses.replace(still.signals["shape"], value=np.zeros((301, 2)))}
+    quiet = dataclasses.replace(still, signals={**calm, "cmd_tendons": _zero(still.signals["cmd_tendons"])})
+    robots = {
+        "one": [logged(robot(), s) for s in range(3)],
+        "two": [logged(other, s, robot_id="two") for s in range(3)],
+        "still": [quiet],
+    }
+    both = fit_many(guess(robot()), robots)
+    assert isinstance(both["still"], InputError) and "no excitation" in str(both["still"])
+    one, two = both["one"], both["two"]
+    assert isinstance(one, DynamicResult) and isinstance(two, DynamicResult)
+    for p in MOVED:
+        assert one.parameters[p].value == pytest.approx(found.parameters[p].value, rel=1e-3)
+    for p in ("elastic.c3", "friction.mu_c"):
+        mine = two.parameters[p]
+        assert mine.sd is not None and abs(mine.value - float(get(other, p))) < 4 * mine.sd
+
+
+def _zero(s: Signal) -> Signal:
+    return dataclasses.replace(s, value=np.zeros_like(s.value))
+
+
+def test_a_folder_of_three_logs_delivers_and_says_what_was_left_out(found):
+    """One cut short, one without excitation, one good."""
+    cut_short = dataclasses.replace(
+        (whole := logged(robot(), 1)),
+        signals={k: _first(s, 180) for k, s in whole.signals.items()},
+    )
+    still = logged(robot(), 2)
+    still = dataclasses.replace(
+        still,
+        signals={
+            **still.signals,
+            "cmd_tendons": _zero(still.signals["cmd_tendons"]),
+            "shape": dataclasses.replace(
+                still.signals["shape"], value=NOISE * np.random.default_rng(0).normal(size=(301, 2))
+            ),
+        },
+    )
+    result = fit(guess(robot()), [cut_short, still, logged(robot(), 0)])
+    assert isinstance(result, DynamicResult)
+    assert [r.run_id for r in result.run_errors] == ["r1-1", "r1-0"]
+    assert any("r1-2.mcap: no excitation" in w for w in result.warnings)
+    assert result.parameters["elastic.c3"].value == pytest.approx(1.5, rel=0.02)
+
+
+def _first(s: Signal, count: int) -> Signal:
+    return dataclasses.replace(s, t=s.t[:count], value=s.value[:count])
+
+
+def test_priors_and_bounds_of_the_file_hold():
+    model = robot()
+    runs = [logged(model, s) for s in range(3)]
+    start = guess(model)
+    sure = fit(dataclasses.replace(start, priors={"gravity.alpha1": (0.6, 1e-4)}), runs)
+    assert sure.parameters["gravity.alpha1"].value == pytest.approx(0.6, abs=5e-4)
+    bounded = fit(dataclasses.replace(start, bounds={"elastic.c3": (0.5, 1.3)}), runs)
+    assert bounded.parameters["elastic.c3"].verdict == "at bound"
+    assert bounded.parameters["elastic.c3"].value == pytest.approx(1.3)
+    assert any("elastic.c3 is at its bound" in w for w in bounded.warnings)
+    with pytest.raises(InputError, match=r"fit.bounds.elastic.c3 = \[2, 3\] does not hold the starting value"):
+        fit(dataclasses.replace(start, bounds={"elastic.c3": (2.0, 3.0)}), runs)
+
+
+# --- the pieces, without a fit
+
+
+def test_coordinates_are_admissible_everywhere_and_start_at_the_model():
+    model = robot()
+    names = (*MOVED, "friction.sigma1", "friction.mu_s", "friction.sigma3", "friction.v_s", "chain.segment_mass_kg")
+    c = Coordinates(model, names, 40.0)
+    np.testing.assert_allclose(c.physical(c.start), [float(get(model, p)) for p in names], rtol=1e-10)
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        assert c.admissible(c.start + rng.normal(scale=1.0, size=len(c)))
+    x = c.start + 0.1
+    numeric = [(c.physical(x + d) - c.physical(x - d)) / 2e-6 for d in 1e-6 * np.eye(len(c))]
+    np.testing.assert_allclose(c.jacobian(x), np.array(numeric).T, rtol=1e-6, atol=1e-9)
+
+
+def test_a_frozen_parameter_stays_although_its_partners_move():
+    model = robot()
+    c = Coordinates(model, ("elastic.c2", "friction.mu_s"), 40.0)
+    moved = c.model(c.start + 0.2)
+    for path in ("elastic.c1", "elastic.c3", "friction.mu_c", "friction.sigma2"):
+        assert float(get(moved, path)) == float(get(model, path))
+    assert float(get(moved, "friction.mu_s")) == pytest.approx(0.0036 * np.exp(0.2))
+    assert not c.admissible(np.array([0.05, np.log(0.001)]))  # mu_s below mu_c
+
+
+def test_windows_hold_every_sample_once_and_cover_their_run():
+    run = logged(robot(), 0)
+    w = cut([motion(run, 2), motion(logged(robot(), 1, 2.5), 2)], 0.005)
+    assert len(w.y) == 301 + 251
+    t = w.t[w.window, w.step] + w.weight * w.h
+    np.testing.assert_allclose(t, w.sample_t, atol=1e-9)
+    assert list(np.flatnonzero(w.opens)) == [0, 3]
+    np.testing.assert_allclose(w.left.shape, (6, STEPS))
+    some = w.some(4)
+    np.testing.assert_allclose(some.t[some.window, some.step] + some.weight * some.h, some.sample_t, atol=1e-9)
+
+
+def test_noise_and_its_colour_are_measured():
+    rng = np.random.default_rng(0)
+    trend = np.sin(np.linspace(0, 20, 5000))[:, None]
+    assert white_noise(trend + 0.01 * rng.normal(size=(5000, 1)))[0] == pytest.approx(0.01, rel=0.1)
+    white = rng.normal(size=5000)
+    assert bandwidth(white) <= 4
+    slow = np.zeros(5000)
+    for i in range(1, 5000):
+        slow[i] = 0.95 * slow[i - 1] + white[i]
+    assert bandwidth(slow) > 50
+
+
+def test_pooling_draws_what_a_robot_hardly_shows_to_the_others(found):
+    """Four robots alike in all; one of them knows c4 badly."""
+    results = {}
+    rng = np.random.default_rng(0)
+    for i in range(6):
+        e = found.estimate
+        covariance = e.covariance.copy()
+        if i == 0:
+            k = e.problem.coordinates.names.index("jamming.c4")
+            covariance[k, k] += 0.3**2
+        x = e.x + rng.multivariate_normal(np.zeros(len(e.x)), covariance)
+        results[f"r{i}"] = dataclasses.replace(
+            found, estimate=dataclasses.replace(e, x=x, covariance=covariance, model=e.problem.coordinates.model(x))
+        )
+    pooled = pool(results)
+    assert pooled is not None
+    k = pooled.names.index("jamming.c4")
+    alone = results["r0"].parameters["jamming.c4"]
+    assert abs(pooled.value["r0"][k] - 8.0) < 0.3 * abs(alone.value - 8.0)
+    assert pooled.sd["r0"][k] < 0.3 * (alone.sd or 0.0)
+    well = results["r1"].parameters["jamming.c4"]
+    assert abs(pooled.value["r1"][k] - well.value) < 2 * (well.sd or 0.0)
+
+
+def test_statics_join_the_motion(tmp_path: Path):
+    """A probe tells the scale of torques, so that the lever arm is found; without it, it stays."""
+    model = robot()
+    pressures = np.array([0.0, 10.0, 20.0, 30.0])
+    force = np.array([float(probe_stiffness(model, jnp_(p))) for p in pressures]) * 1e-3
+    t = np.arange(4.0)
+    probe = Run(
+        "probe.mcap",
+        "p",
+        0,
+        {
+            "probe": Signal(t, np.stack([np.full(4, 1e-3), force], 1), ("position", "force"), "m,N", "/real/probe"),
+            "pressure": Signal(t, P_ATM - 1e3 * pressures[:, None], ("pressure",), "Pa", "/real/pressure"),
+        },
+        {"run_id": "probe", "robot_id": "r1", "experiment": "probe stiffness", "p_atm_pa": str(P_ATM)},
+    )
+    wrong = replace(model, {"chain.lever_arm_m": 0.024})
+    runs = [logged(model, s) for s in range(3)]
+    result = fit(ModelFile(wrong, frozen=KNOWN), [*runs, probe])
+    assert result.parameters["chain.lever_arm_m"].value == pytest.approx(0.02, rel=0.01)
+    assert result.parameters["elastic.c3"].value == pytest.approx(1.5, rel=0.02)
