@@ -28,9 +28,7 @@ def library(source: str, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL:
     """A C file of this folder as a loaded library."""
     with tempfile.TemporaryDirectory(prefix="ljjax-bench-") as folder:
         out = Path(folder) / "out.so"
-        subprocess.run(
-            ["cc", *flags, "-shared", "-fPIC", "-o", out, Path(__file__).parent / source, "-lm"], check=True
-        )
+        subprocess.run(["cc", *flags, "-shared", "-fPIC", "-o", out, Path(__file__).parent / source, "-lm"], check=True)
         return ctypes.CDLL(str(out))
 
 

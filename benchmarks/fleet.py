@@ -51,7 +51,9 @@ def fleet(robots: int, seconds: float, seed: int = 0) -> tuple[Model, Inputs, St
     hertz, turn = rng.uniform([0.05, 0], [0.3, 2 * np.pi], (robots, 2)).T[..., None]
     vacuum = 20 + 18 * np.sin(2 * np.pi * hertz * t + turn)
     inputs = Inputs(jnp.asarray(t), jnp.asarray(tendons), jnp.asarray(vacuum), hold=False)
-    states = jax.jit(jax.vmap(lambda m, u, p: rest(m, of_one(inputs, u, p))))(models, inputs.tendons, inputs.pressure_kpa)
+    states = jax.jit(jax.vmap(lambda m, u, p: rest(m, of_one(inputs, u, p))))(
+        models, inputs.tendons, inputs.pressure_kpa
+    )
     return models, inputs, states
 
 

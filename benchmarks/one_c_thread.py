@@ -29,7 +29,9 @@ class Batch:
             inputs.tendons, inputs.pressure_kpa
         )
         drive = jnp.stack([tendons[..., 0] - tendons[..., 1], vacuum], axis=-1)
-        self.numbers, self.first, self.drive = (self._blocks(np.asarray(x, dtype)) for x in (numbers_of(models), states.z, drive))
+        self.numbers, self.first, self.drive = (
+            self._blocks(np.asarray(x, dtype)) for x in (numbers_of(models), states.z, drive)
+        )
         frames = (self.robots, self.steps // self.every, self.n)
         self.path = self._blocks(np.zeros(frames, dtype))
 

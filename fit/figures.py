@@ -183,7 +183,7 @@ def intervals(result: FitResult) -> Figure:
     ax.set_xticks(ticks, [f"{tick}".replace("-", "−") for tick in ticks])
     ax.set_yticks(range(len(fitted)), [p.name for p in fitted])
     ax.invert_yaxis()
-    ax.set(xlabel="deviation from the estimate [% of its size]")
+    ax.set(xlabel="deviation [% of the estimate]")
     ax.grid(False, axis="y")
     return figure
 

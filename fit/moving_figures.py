@@ -9,9 +9,11 @@ from typing import Literal
 
 import jax
 import jax.numpy as jnp
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 from scipy import stats
 
 from ljjax.energy import phi
@@ -22,7 +24,7 @@ from ljjax.friction import sliding_torque
 from ljjax.model import Model, get, replace
 from ljjax.page import ACCENT, INK, MUTED, axes, legend
 
-MEASURED = "#9aa7b4"
+MEASURED = "#c9d2db"
 CLASH = "#c77700"
 CLOUD = 4000
 """Residuals drawn as points; the bands are of all."""
@@ -95,23 +97,26 @@ def traces(result: DynamicResult) -> list[Trace]:
 
 def course(trace: Trace, noise_deg: float) -> Figure:
     """One run over time: θ measured and simulated, their difference, and what was commanded."""
-    figure, (top, middle, low) = panels((2.5, 1.1, 1.2))
-    top.plot(trace.t, trace.measured, color=MEASURED, lw=3.2, label="measured")
-    top.plot(trace.t, trace.simulated, color=ACCENT, lw=1.2, label="simulated from commands")
+    figure, (top, middle, low) = panels((2.3, 1.1, 1.5))
+    top.plot(trace.t, trace.measured, color=MEASURED, lw=4.5, label="measured")
+    top.plot(trace.t, trace.simulated, color=ACCENT, lw=1.2, label="simulated")
     top.set(ylabel="θ [deg]")
     legend(top, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     middle.axhspan(-2 * noise_deg, 2 * noise_deg, color=MUTED, alpha=0.18, lw=0)
     middle.plot(trace.t, trace.error, color=INK, lw=0.8)
-    middle.set(ylabel="error [deg]")
+    middle.set(ylabel="error\n[deg]")
     for column, (style, name) in enumerate((("-", "$u_1$"), ("--", "$u_2$"))):
         low.plot(trace.t, trace.tension[:, column], color=ACCENT, ls=style, lw=1.2, label=name)
-    low.set(xlabel="time [s]", ylabel="tension [N]")
-    legend(low, loc="upper left", fontsize=8.5, ncols=2)
     right = low.twinx()
-    right.plot(trace.t, trace.vacuum, color=CLASH, lw=1.2)
-    right.set_ylabel("vacuum [kPa]", color=CLASH)
-    right.set_ylim(0, 1.15 * max(float(trace.vacuum.max()), 1.0))
+    right.spines[:].set_visible(False)
     right.grid(False)
+    right.plot(trace.t, trace.vacuum, color=CLASH, lw=1.2)
+    right.set_ylim(0, 1.15 * max(float(trace.vacuum.max()), 1.0))
+    right.set_ylabel("vacuum\n[kPa]", color=CLASH)
+    right.tick_params(colors=CLASH)
+    low.set(xlabel="time [s]", ylabel="tension\n[N]")
+    low.plot([], [], color=CLASH, lw=1.2, label="$u_P$")
+    legend(low, loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=3)
     figure.align_ylabels([top, middle, low])
     return figure
 
@@ -120,7 +125,7 @@ def loop(trace: Trace) -> Figure:
     """θ over net tension u₁ − u₂."""
     figure, ax = axes(height=4.8)
     net = trace.tension[:, 0] - trace.tension[:, 1]
-    ax.plot(net, trace.measured, color=MEASURED, lw=3.2, label="measured")
+    ax.plot(net, trace.measured, color=MEASURED, lw=4.5, label="measured")
     ax.plot(net, trace.simulated, color=ACCENT, lw=1.2, label="simulated")
     ax.set(xlabel="net tension u₁ − u₂ [N]", ylabel="θ [deg]")
     legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
@@ -148,7 +153,7 @@ def residuals(shown: Sequence[Trace], over: Axis, noise_deg: float) -> Figure:
     figure, ax = axes()
     some = np.random.default_rng(0).permutation(len(x))[:CLOUD]
     ax.scatter(x[some], y[some], s=2, color=MUTED, alpha=0.25, linewidths=0, rasterized=True)
-    centres, cuts = _bins(x, y)
+    centres, cuts = _bins(x, y, even=over != "rate")
     for low, high, alpha in ((0, 4, 0.18), (1, 3, 0.3)):
         ax.fill_between(centres, cuts[:, low], cuts[:, high], color=ACCENT, alpha=alpha, lw=0)
     ax.plot(centres, cuts[:, 2], "o-", color=ACCENT, lw=1.6, ms=3, label="median, 68 % and 95 % of the samples")
@@ -160,21 +165,20 @@ def residuals(shown: Sequence[Trace], over: Axis, noise_deg: float) -> Figure:
     limit = 1.3 * max(float(np.quantile(np.abs(y), 0.995)), 2.2 * noise_deg)
     ax.set(xlabel=LABELS[over], ylabel="measured − simulated [deg]", ylim=(-limit, limit))
     if over == "rate":
-        ax.set_xscale("symlog", linthresh=max(float(np.quantile(np.abs(x), 0.3)), 1e-2))
+        ax.set_xscale("symlog", linthresh=0.1)
+        ticks = [tick for size in (0.1, 1, 10, 100) if size < np.abs(x).max() for tick in (-size, size)]
+        ax.set_xticks([0, *ticks], [f"{tick:g}".replace("-", "−") for tick in (0, *ticks)])
     legend(figure, loc="outside upper center", ncols=2)
     return figure
 
 
-def _bins(x: np.ndarray, y: np.ndarray, most: int = 20) -> tuple[np.ndarray, np.ndarray]:
-    """(b,) centres of bins of x and (b, 5) the 2.5, 16, 50, 84 and 97.5 % points of y in each: one bin a value of x
-    where there are few, else bins of like counts."""
-    values, index = np.unique(np.round(x, 1), return_inverse=True)
-    if len(values) > most:
-        edges = np.unique(np.quantile(x, np.linspace(0, 1, most + 1)))
-        index = np.searchsorted(edges[1:-1], x, side="right")
-    used = [k for k in np.unique(index) if np.sum(index == k) >= 10]
-    if not used:
-        used, index = [0], np.zeros(len(x), int)
+def _bins(x: np.ndarray, y: np.ndarray, even: bool, most: int = 20) -> tuple[np.ndarray, np.ndarray]:
+    """(b,) middles of bins of x, of like width (`even`) or of like counts, and (b, 5) the 2.5, 16, 50, 84 and 97.5 %
+    points of y in each; bins of few samples are left out."""
+    share = np.linspace(0, 1, most + 1)
+    edges = np.unique(x.min() + np.ptp(x) * share if even else np.quantile(x, share))
+    index = np.searchsorted(edges[1:-1], x, side="right")
+    used = [k for k, count in enumerate(np.bincount(index)) if count >= min(20, len(x) // 2)]
     centres = np.array([np.median(x[index == k]) for k in used])
     return centres, np.array([np.quantile(y[index == k], (0.025, 0.16, 0.5, 0.84, 0.975)) for k in used])
 
@@ -217,7 +221,7 @@ def friction(result: DynamicResult, shown: Sequence[Trace]) -> Figure:
     """φ(u_P)[ρ(v) + σ₂v] over v at up to three pressures, with ± 2 sd; dotted where no data were."""
     figure, ax = axes()
     low, high = rates_seen(shown)
-    v = np.geomspace(0.2 * low, 5 * high, 160)
+    v = np.geomspace(low / 3, 2 * high, 160)
     seen = (v >= low) & (v <= high)
     vacuum = np.concatenate([t.vacuum for t in shown])
     pressures = np.unique(np.round(np.quantile(vacuum, (0.0, 0.5, 1.0)), 1))
@@ -226,9 +230,9 @@ def friction(result: DynamicResult, shown: Sequence[Trace]) -> Figure:
         ax.fill_between(v, middle - 2 * sd, middle + 2 * sd, color=colour, alpha=0.22, lw=0)
         ax.plot(v, middle, color=colour, lw=1.2, ls=":")
         ax.plot(v[seen], middle[seen], color=colour, lw=1.9, label=f"{p:g} kPa")
-    ax.set_xscale("log")
-    ax.set(xlabel="joint rate v [rad/s]", ylabel="friction torque of a joint [N·m]")
-    ax.set_ylim(0, None)
+    ax.set(xscale="log", yscale="log", xlabel="joint rate v [rad/s]", ylabel="friction torque of a joint [N·m]")
+    ax.yaxis.set_major_formatter(LogFormatter())
+    ax.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
     legend(figure, loc="outside upper center", ncols=3, title="vacuum")
     return figure
 
@@ -249,18 +253,9 @@ def _passes(result: DynamicResult) -> tuple[np.ndarray, list[int]]:
 
 
 def _rounds(ax: Axes, passes: np.ndarray, opens: Sequence[int]) -> None:
-    names = ("windows", "free runs", "free runs, half the step")
     for k, i in enumerate(opens):
         ax.axvline(passes[i], color=MUTED, lw=1, ls="--")
-        ax.text(
-            passes[i],
-            1.01,
-            f" {names[k] if len(opens) == 3 else k + 1}",
-            transform=ax.get_xaxis_transform(),
-            fontsize=8.5,
-            color=MUTED,
-            rotation=20,
-        )
+        ax.text(passes[i], 1.01, f"{k + 1}", transform=ax.get_xaxis_transform(), ha="center", fontsize=10, color=MUTED)
 
 
 def descent(result: DynamicResult) -> Figure:
@@ -273,7 +268,8 @@ def descent(result: DynamicResult) -> Figure:
         ax.plot(passes[first:last], chi2[first:last], "o-", color=ACCENT, ms=4, lw=1.5)
     _rounds(ax, passes, opens)
     ax.set(xlabel="passes over the data", ylabel="χ² per sample")
-    ax.set_yscale("log")
+    if chi2.max() > 20 * chi2.min():
+        ax.set_yscale("log")
     return figure
 
 
@@ -284,8 +280,9 @@ def approach(result: DynamicResult) -> Figure:
     c = result.estimate.problem.coordinates
     values = np.array([c.physical(h[4]) for h in result.estimate.history])
     away = (values - c.physical(result.estimate.x)) / np.sqrt(np.diag(result.covariance))
-    for column, name, colour in zip(away.T, c.names, colours(len(c.names)), strict=True):
-        ax.plot(passes, column, "o-", ms=2.5, lw=1.2, color=colour, label=name.split(".")[-1])
+    for k, (column, name) in enumerate(zip(away.T, c.names, strict=True)):
+        colour = matplotlib.colormaps["tab20"](k % 20)
+        ax.plot(passes, column, "o-", ms=2.5, lw=1.4, color=colour, label=name.split(".")[-1])
     ax.axhspan(-1, 1, color=MUTED, alpha=0.13, lw=0)
     ax.set_yscale("symlog", linthresh=1)
     _rounds(ax, passes, opens)

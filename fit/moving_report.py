@@ -11,7 +11,7 @@ import numpy as np
 from ljjax import page
 from ljjax.fit import figures, moving_figures
 from ljjax.fit.moving import COLOURED, DynamicResult
-from ljjax.fit.moving_figures import LABELS, Trace
+from ljjax.fit.moving_figures import Axis, Trace
 from ljjax.fit.points import UNIT
 from ljjax.fit.report import assumed_table, inputs_table, parameters_table
 from ljjax.page import number
@@ -38,7 +38,7 @@ def report(result: DynamicResult, data: Mapping[str, Any]) -> str:
         f"<h2>Runs: measured, and simulated from {inputs}</h2>",
         f'<p class="sub">Simulated freely from rest, never corrected by the measurement. {which}</p>',
         *_grid(_runs(result, drawn)),
-        "<h2>What the model leaves</h2>",
+        "<h2>Friction, and what the model leaves</h2>",
         *_grid(_left(result, [t for t in shown if t.said.role == "train"])),
         "<h2>The search</h2>",
         f'<p class="sub">{escape(_search(data))}</p>',
@@ -113,7 +113,8 @@ def _headline(result: DynamicResult) -> list[tuple[str, str]]:
         (f"{number(rms_deg(result))}°", f"RMS error of θ, free runs (white noise {number(noise_deg(result))}°)"),
     ]
     if (held := rms_deg(result, "held_out")) is not None:
-        cards.append((f"{number(held)}°", f"RMS error of θ, {len(result.held_out_runs)} runs not fitted"))
+        count = len(result.held_out_runs)
+        cards.append((f"{number(held)}°", f"RMS error of θ, {count} run{'s' if count > 1 else ''} not fitted"))
     if (left := left_out_deg(result)) is not None:
         cards.append((f"{number(left)}°", "RMS error of θ, each run predicted without its own data (first order)"))
     return cards
@@ -136,19 +137,11 @@ def _drawn(shown: Sequence[Trace]) -> tuple[list[Trace], str]:
 
 
 def _knowledge(result: DynamicResult) -> list[str]:
-    shown = moving_figures.traces(result)
-    low, high = np.degrees(moving_figures.rates_seen(shown))
     return [
         page.figure(
             figures.intervals(result),
             "Intervals",
             "Line: 95 %, if the model’s form holds; green where identifiable. Past a dotted line the sign is unknown.",
-        ),
-        page.figure(
-            moving_figures.friction(result, shown),
-            "Friction in steady sliding",
-            "φ(u_P)[ρ(v) + σ₂v] at the least, middle and largest vacuum. Band: ± 2 sd. Solid where these runs slid "
-            f"({number(low, 2)} … {number(high, 2)} deg/s); dotted beyond, where it is the model’s form alone.",
         ),
         page.figure(figures.correlation(result), "Correlations", "Near ± 1: the data cannot part the two."),
     ]
@@ -170,15 +163,23 @@ def _runs(result: DynamicResult, drawn: Sequence[Trace]) -> list[str]:
 
 
 def _left(result: DynamicResult, shown: Sequence[Trace]) -> list[str]:
-    said = {
-        "angle": "A trend is elasticity, gravity or a lever arm that the model lacks.",
+    said: dict[Axis, str] = {
         "rate": "A trend, or a step at 0, is friction or damping that the model lacks.",
+        "angle": "A trend is elasticity, gravity or a lever arm that the model lacks.",
         "pressure": "A trend is a law over pressure that does not fit.",
     }
+    low, high = np.degrees(moving_figures.rates_seen(shown))
     noise = noise_deg(result)
-    return [
-        page.figure(moving_figures.residuals(shown, over, noise), f"Residuals over {over}", said[over])
-        for over in LABELS
+    friction = page.figure(
+        moving_figures.friction(result, shown),
+        "Friction in steady sliding",
+        "φ(u_P)[ρ(v) + σ₂v] at the least, middle and largest vacuum. Band: ± 2 sd, where it is wider than the line. "
+        f"Solid where these runs slid ({number(low, 2)} … {number(high, 2)} deg/s); dotted beyond, where it is the "
+        "model’s form alone.",
+    )
+    return [friction] + [
+        page.figure(moving_figures.residuals(shown, over, noise), f"Residuals over {over}", why)
+        for over, why in said.items()
     ]
 
 
@@ -193,17 +194,20 @@ def _search(data: Mapping[str, Any]) -> str:
 
 def _course(result: DynamicResult, data: Mapping[str, Any]) -> list[str]:
     out = []
+    rounds = "Dashed: a new round begins."
+    if len({h[0] for h in result.estimate.history}) == 3:
+        rounds = "Rounds: 1 windows that start from the data, 2 free runs from rest, 3 the same with half the step."
     if result.estimate.history:
         out += [
             page.figure(
                 moving_figures.descent(result),
                 "Descent",
-                "Dashed: rounds, each with data and a scale of its own; windows first, then free runs.",
+                f"Each step is judged by its own scatter, so it ends near 1. {rounds}",
             ),
             page.figure(
                 moving_figures.approach(result),
                 "Estimates on the way",
-                "Grey: within one standard deviation of the end.",
+                "Every parameter’s distance from its final value. Grey: within one standard deviation.",
             ),
         ]
     for name, found in data["profiles"].items():

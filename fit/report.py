@@ -91,7 +91,7 @@ def parameters_table(result: FitResult, data: Mapping[str, Any]) -> str:
                 number(p.sd),
                 escape(p.unit),
                 f'<span class="{mark}">{p.judgement}</span>',
-                f"{number(low)} … {number(high)}",
+                f"{number(low, 4)} … {number(high, 4)}",
                 *([number(p.sd_over_pressures)] if pressures else []),
                 f'<span class="why">{escape(p.reason)}</span>',
             ]  # fmt: skip
@@ -165,13 +165,11 @@ def _worst(result: StaticResult) -> str:
 
 def inputs_table(data: Mapping[str, Any]) -> str:
     """The logs it was made from."""
-    rows = [
-        [
-            escape(x["run_id"]), escape(x["experiment"]), f"<code>{escape(x['file'])}</code>",
-            f"<code>{x['sha256'][:16]}…</code>", escape(x["partial"] or "whole"),
-        ]
-        for x in data["inputs"]
-    ]  # fmt: skip
+    rows = []
+    for x in data["inputs"]:
+        state = escape(x["partial"] or "whole") + (", not fitted" if x["role"] == "held_out" else "")
+        file, digest = f"<code>{escape(x['file'])}</code>", f"<code>{x['sha256'][:16]}…</code>"
+        rows.append([escape(x["run_id"]), escape(x["experiment"]), file, digest, state])
     return page.table(["run", "experiment", "file", "sha256", "state"], rows)
 
 

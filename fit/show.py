@@ -138,8 +138,8 @@ def show_many(results: Mapping[str, FitResult | Exception], out: Path, console: 
     for robot, why in failed.items():
         console.print(f"[red]{escape(robot)}:[/red] {escape(str(why))}", soft_wrap=True)
     console.print(
-        "RMS error of θ in free runs, ± 1 sd; in brackets what is not identifiable or not fitted; beware: warnings in the "
-        "robot's report.",
+        "RMS error of θ in free runs, ± 1 sd; in brackets what is not identifiable or not fitted; beware: warnings in "
+        "the robot's report.",
         soft_wrap=True,
     )
     console.print(f"Reports: {escape(str(Path(out) / '*' / 'report.html'))}", soft_wrap=True)

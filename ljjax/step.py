@@ -36,6 +36,8 @@ from ljjax.friction import stribeck
 from ljjax.model import Friction, Model
 
 GAMMA = 1 - 1 / math.sqrt(2)
+MOMENT_S = 1e-6
+"""What effects are told is the step while a run begins, so that none divides by 0."""
 
 
 class Unrolled(NamedTuple):
@@ -254,7 +256,7 @@ def at_rest(model: Model, q: Vector, drive: Drive) -> Unrolled:
 def in_balance(model: Model, q: Vector, v: Vector, drive: Drive) -> Unrolled:
     """The shape q moving steadily at v under a drive: z balances the forces, within |zᵢ| ≤ μ_S/σ₀."""
     n = len(q)
-    now = _now(model, Unrolled(q, v, v), drive, jnp.zeros_like(drive.left))
+    now = _now(model, Unrolled(q, v, v), drive, jnp.full_like(drive.left, MOMENT_S))
     now, memory, alpha2, phi = _inputs(model, now, tuple(e.start(now) for e in model.effects))
     load = _load(model, now, memory, drive)
     gravity = model.gravity.alpha1 * jnp.sin(sum(q))
@@ -266,7 +268,7 @@ def in_balance(model: Model, q: Vector, v: Vector, drive: Drive) -> Unrolled:
 
 def begin(model: Model, q: Vector, v: Vector, z: Vector, drive: Drive) -> Unrolled:
     """A state from which to start, with what the effects remember at rest."""
-    now = _now(model, Unrolled(q, v, z), drive, jnp.zeros_like(drive.left))
+    now = _now(model, Unrolled(q, v, z), drive, jnp.full_like(drive.left, MOMENT_S))
     sensed, memory = _sense(model, q, now, tuple(e.start(now) for e in model.effects))
     return Unrolled(q, v, z, memory, sensed)
 
