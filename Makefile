@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 OCTROBOT := ljjax/data/octrobot
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check data recovery clean
+.PHONY: help setup demo test check data recovery bench clean
 
 help: ## what this file can do
 	@sed -n 's/^\([a-z]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -37,6 +37,13 @@ data: .venv/.ready ## make the bundled MCAP logs anew from the published tables
 
 recovery: .venv/.ready ## identify 40 simulated robots and compare with the truth; writes out/recovery/
 	$(BIN)/python -m benchmarks.recovery.study
+
+.venv/.bench: .venv/.ready
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test,bench]"
+	@touch $@
+
+bench: .venv/.bench ## speed side by side with other simulators, in about ten minutes; writes out/bench/
+	$(BIN)/python -m benchmarks
 
 clean: ## remove what the commands above made
 	rm -rf .venv out build dist *.egg-info .pytest_cache .ruff_cache .hypothesis

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from benchmarks.fleet import element, fleet, of_one
 from benchmarks.sides import Row, interleaved, ratio
-from ljjax import fast
+from ljjax import batch, fast
 from ljjax.dynamics import State, rhs
 from ljjax.model import get, replace
 
@@ -59,7 +59,7 @@ def _diffrax() -> float:
     def theta(x):
         changed = replace(model, dict(zip(LEARNED, x, strict=True)))
         out = diffrax.diffeqsolve(
-            diffrax.ODETerm(lambda t, y, _: rhs(changed, y, *given.at(t))),
+            diffrax.ODETerm(lambda t, y, _: rhs(changed, y, *given.at(jnp.asarray(t)))),
             diffrax.Kvaerno5(),
             t0=given.t[0],
             t1=given.t[-1],
@@ -81,7 +81,7 @@ def _diffrax() -> float:
 
 def _ready(function: Callable, *given):
     """A call of the compiled function on these arguments, run once."""
-    compiled = jax.jit(function).lower(*given).compile()
+    compiled = jax.jit(function, compiler_options=batch.options()).lower(*given).compile()
     call = lambda: jax.block_until_ready(compiled(*given))  # noqa: E731
     call()
     return call

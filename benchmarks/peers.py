@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.compiled import numbers_of, library
+from benchmarks.compiled import library, numbers_of
 from benchmarks.fleet import of_one
 from ljjax.dynamics import State, rhs
 from ljjax.inputs import Inputs
@@ -43,7 +43,7 @@ def diffrax_vmap(task: Task, solver: Any, rtol: float, atol: float) -> Simulator
     def one(model: Model, tendons: Any, vacuum: Any, state: State) -> Any:
         given = of_one(task.inputs, tendons, vacuum)
         out = diffrax.diffeqsolve(
-            diffrax.ODETerm(lambda t, y, _: rhs(model, y, *given.at(t))),
+            diffrax.ODETerm(lambda t, y, _: rhs(model, y, *given.at(jnp.asarray(t)))),
             solver,
             t0=t[0],
             t1=t[-1],
@@ -89,7 +89,7 @@ class _Plain:
 
 def cvode(task: Task, rtol: float, atol: float) -> Simulator:
     """SUNDIALS CVODE (BDF, Newton, dense) through scikit-sundae, the right-hand side compiled."""
-    from sksundae.cvode import CVODE
+    from sksundae.cvode import CVODE  # pyright: ignore[reportMissingImports]
 
     plain = _Plain(task)
 
@@ -127,8 +127,8 @@ def scipy_radau(task: Task, rtol: float, atol: float) -> Simulator:
 
 
 def casadi_cvodes(task: Task, rtol: float, atol: float) -> Simulator:
-    """CasADi's interface to SUNDIALS CVODES: symbolic right-hand side, exact Jacobian, an interpolant for the commands."""
-    import casadi
+    """CasADi's interface to SUNDIALS CVODES: symbolic right-hand side, exact Jacobian, commands by interpolation."""
+    import casadi  # pyright: ignore[reportMissingImports]
 
     plain = _Plain(task)
     cs: Any = casadi
@@ -166,7 +166,7 @@ def casadi_cvodes(task: Task, rtol: float, atol: float) -> Simulator:
 
 def mujoco_rollout(task: Task, step_s: float, threads: int) -> Simulator:
     """MuJoCo's `rollout` of the same chain under the same commands, the friction another: MuJoCo knows no LuGre, so
-    joints have its `stiffness` α₂, `damping` φσ₂ and `frictionloss` φμ_C at a vacuum of 20 kPa. Its motion is not ours."""
+    joints have its `stiffness` α₂, `damping` φσ₂ and `frictionloss` φμ_C at 20 kPa. Its motion is not ours."""
     import mujoco as _mujoco
     from mujoco import rollout as _rollout
 
@@ -178,14 +178,14 @@ def mujoco_rollout(task: Task, step_s: float, threads: int) -> Simulator:
     vacuum = jnp.asarray(20.0)
     alpha2, phi = (np.asarray(jax.vmap(lambda m, f=f: f(m, vacuum))(task.models)) for f in (energy.alpha2, energy.phi))
     robots, n = task.states.q.shape
-    number = {name: np.asarray(get(task.models, name)) for name in (
-        "chain.half_length_m", "chain.radius_m", "chain.segment_mass_kg", "friction.sigma2", "friction.mu_c")}  # fmt: skip
+    paths = ("chain.half_length_m", "chain.radius_m", "chain.segment_mass_kg", "friction.sigma2", "friction.mu_c")
+    numbers = np.stack([np.asarray(get(task.models, path)) for path in paths], axis=1)
     chains = []
     for k in range(robots):
-        half, radius, mass = (number[f"chain.{name}"][k] for name in ("half_length_m", "radius_m", "segment_mass_kg"))
+        half, radius, mass, sigma2, mu_c = numbers[k]
         joint = (
-            f'<joint type="hinge" axis="0 1 0" stiffness="{alpha2[k]}" damping="{phi[k] * number["friction.sigma2"][k]}" '
-            f'frictionloss="{phi[k] * number["friction.mu_c"][k]}"/>'
+            f'<joint type="hinge" axis="0 1 0" stiffness="{alpha2[k]}" damping="{phi[k] * sigma2}" '
+            f'frictionloss="{phi[k] * mu_c}"/>'
         )
         body = ""
         for i in range(n):

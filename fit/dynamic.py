@@ -78,7 +78,8 @@ class Estimate:
         sigma: (c,) standard deviation of the residuals [rad]; `weight` (N, c) of each sample, 1 or less.
         offset: (R,) correction of each run's starting angle [rad].
         statics: predictions and scatter for each of the problem's points.
-        chi2: weighted sum of squares; `history` its course: round, iteration, χ² per sample, step, x.
+        chi2: weighted sum of squares; `history` the course: round, passes over the data in it,
+            RMS error [rad], damping, x.
         converged: whether the last round ended by its own rule.
         step_error: (R,) the largest change of a prediction from halving the solver's step [rad], or None.
     """
@@ -307,7 +308,8 @@ class Search:
             if not np.isfinite(chi2):
                 raise FloatingPointError("the starting model does not simulate: its motion is not finite")
             a, g, (own, cross, pull) = self._normal(point, scale)
-            history.append((which, self.asked, chi2 / self.windows.y.size, damping, point.x.copy()))
+            rms = float(np.sqrt(np.mean((self.windows.y - point.answer.predicted) ** 2)))
+            history.append((which, self.asked, rms, damping, point.x.copy()))
             limits = self._limits(point.x)
             rejected = 0
             while True:

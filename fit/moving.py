@@ -23,6 +23,8 @@ LOOSE = 0.5
 """A parameter known no better than to this share of its value is not identified."""
 COLOURED = 3.0
 """Residuals whose colour widens the standard deviations by this factor are said to be structure, not noise."""
+UNEXPLAINED = 1.5
+"""Residuals this many times the white noise are said to be structure too."""
 HELPS = {
     "chain.segment_mass_kg": "fast motions: triangles or multisines up to 5 Hz and more",
     "chain.lever_arm_m": "probe presses, which measure force and not tension",
@@ -162,6 +164,16 @@ class DynamicResult(FitResult):
         return np.sqrt(np.mean([m.noise**2 for m in self.estimate.problem.motions], axis=0))
 
     @property
+    def unexplained(self) -> float:
+        """What is left over in units of the measurements' white noise."""
+        return float(np.max(self.estimate.sigma / np.maximum(self.noise, 1e-12)))
+
+    @property
+    def structured(self) -> bool:
+        """Whether what is left over is more than noise."""
+        return self.unexplained > UNEXPLAINED or self.colour > COLOURED
+
+    @property
     def warnings(self) -> list[str]:
         out = self._about_logs()
         if not self.estimate.converged:
@@ -176,12 +188,11 @@ class DynamicResult(FitResult):
                 f"{', '.join(sensitive)}: the simulated motion hangs on the solver's step (stick-slip); such stretches "
                 "say little about the parameters, and are one of many motions the model allows"
             )
-        ratio = float(np.max(self.estimate.sigma / np.maximum(self.noise, 1e-12)))
-        if ratio > 1.5 or self.colour > COLOURED:
+        if self.structured:
             out.append(
-                f"what is left over is {ratio:.1f} × the measurements' white noise and {self.colour:.1f} × as wide in "
-                "effect: the model lacks something these runs show (ljjax gap says what); the values are biased by "
-                "more than their standard deviations"
+                f"what is left over is {self.unexplained:.1f} × the measurements' white noise and {self.colour:.1f} × as "
+                "wide in effect: the model lacks something these runs show; the values are biased by more than their "
+                "standard deviations"
             )
         if self.restarts and max(self.restarts) > 1.02 * min(self.restarts):
             worse = sum(r > 1.02 * min(self.restarts) for r in self.restarts)
@@ -234,7 +245,7 @@ class DynamicResult(FitResult):
                 "search": {
                     "converged": e.converged,
                     "chi2": e.chi2,
-                    "evaluations": [{"round": h[0], "passes": h[1], "chi2_per_sample": h[2]} for h in e.history],
+                    "evaluations": [{"round": h[0], "passes": h[1], "rms_rad": h[2]} for h in e.history],
                     "restarts": list(self.restarts),
                 },
                 "warnings": self.warnings,

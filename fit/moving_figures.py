@@ -13,7 +13,6 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatter
 from scipy import stats
 
 from ljjax.energy import phi
@@ -26,8 +25,8 @@ from ljjax.page import ACCENT, INK, MUTED, axes, legend
 
 MEASURED = "#c9d2db"
 CLASH = "#c77700"
-CLOUD = 4000
-"""Residuals drawn as points; the bands are of all."""
+CLOUD, LONG = 4000, 3000
+"""How many residuals are drawn as points (the bands are of all); beyond how many samples rough lines are pixels."""
 MOVING_RAD_S = 1e-3
 """Rates below this are rest."""
 
@@ -103,7 +102,7 @@ def course(trace: Trace, noise_deg: float) -> Figure:
     top.set(ylabel="θ [deg]")
     legend(top, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     middle.axhspan(-2 * noise_deg, 2 * noise_deg, color=MUTED, alpha=0.18, lw=0)
-    middle.plot(trace.t, trace.error, color=INK, lw=0.8)
+    middle.plot(trace.t, trace.error, color=INK, lw=0.8, rasterized=len(trace.t) > LONG)
     middle.set(ylabel="error\n[deg]")
     for column, (style, name) in enumerate((("-", "$u_1$"), ("--", "$u_2$"))):
         low.plot(trace.t, trace.tension[:, column], color=ACCENT, ls=style, lw=1.2, label=name)
@@ -125,8 +124,9 @@ def loop(trace: Trace) -> Figure:
     """θ over net tension u₁ − u₂."""
     figure, ax = axes(height=4.8)
     net = trace.tension[:, 0] - trace.tension[:, 1]
-    ax.plot(net, trace.measured, color=MEASURED, lw=4.5, label="measured")
-    ax.plot(net, trace.simulated, color=ACCENT, lw=1.2, label="simulated")
+    long = len(trace.t) > LONG
+    ax.plot(net, trace.measured, color=MEASURED, lw=4.5, label="measured", rasterized=long)
+    ax.plot(net, trace.simulated, color=ACCENT, lw=1.2, label="simulated", rasterized=long)
     ax.set(xlabel="net tension u₁ − u₂ [N]", ylabel="θ [deg]")
     legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return figure
@@ -225,14 +225,17 @@ def friction(result: DynamicResult, shown: Sequence[Trace]) -> Figure:
     seen = (v >= low) & (v <= high)
     vacuum = np.concatenate([t.vacuum for t in shown])
     pressures = np.unique(np.round(np.quantile(vacuum, (0.0, 0.5, 1.0)), 1))
+    least = np.inf
     for p, colour in zip(pressures, colours(len(pressures)), strict=True):
         middle, sd = sliding(result, float(p), v)
+        least = min(least, float(middle.min()))
         ax.fill_between(v, middle - 2 * sd, middle + 2 * sd, color=colour, alpha=0.22, lw=0)
         ax.plot(v, middle, color=colour, lw=1.2, ls=":")
         ax.plot(v[seen], middle[seen], color=colour, lw=1.9, label=f"{p:g} kPa")
     ax.set(xscale="log", yscale="log", xlabel="joint rate v [rad/s]", ylabel="friction torque of a joint [N·m]")
-    ax.yaxis.set_major_formatter(LogFormatter())
-    ax.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
+    ax.set_ylim(0.3 * least, None)
+    for set_formatter in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):
+        set_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in "125" else "")
     legend(figure, loc="outside upper center", ncols=3, title="vacuum")
     return figure
 
@@ -259,17 +262,15 @@ def _rounds(ax: Axes, passes: np.ndarray, opens: Sequence[int]) -> None:
 
 
 def descent(result: DynamicResult) -> Figure:
-    """χ² per sample over passes over the data."""
+    """RMS error over passes over the data."""
     figure, ax = axes()
     passes, opens = _passes(result)
-    chi2 = np.array([h[2] for h in result.estimate.history])
+    rms = np.degrees([h[2] for h in result.estimate.history])
     ends = [*opens[1:], len(passes)]
     for first, last in zip(opens, ends, strict=True):
-        ax.plot(passes[first:last], chi2[first:last], "o-", color=ACCENT, ms=4, lw=1.5)
+        ax.plot(passes[first:last], rms[first:last], "o-", color=ACCENT, ms=4, lw=1.5)
     _rounds(ax, passes, opens)
-    ax.set(xlabel="passes over the data", ylabel="χ² per sample")
-    if chi2.max() > 20 * chi2.min():
-        ax.set_yscale("log")
+    ax.set(xlabel="passes over the data", ylabel="RMS error [deg]", yscale="log")
     return figure
 
 
@@ -308,5 +309,5 @@ def profile(result: DynamicResult, name: str, interval: Sequence[float | None]) 
     ax.axvline(p.value, color=INK, lw=0.8)
     ax.set(xlabel=f"{name} [{p.unit}]", ylabel="χ² above its least")
     ax.set_ylim(-0.3, min(float(np.nanmax(above)) * 1.05 + 1, 16))
-    legend(ax)
+    legend(figure, loc="outside upper center", ncols=3)
     return figure

@@ -10,7 +10,7 @@ import numpy as np
 
 from ljjax import page
 from ljjax.fit import figures, moving_figures
-from ljjax.fit.moving import COLOURED, DynamicResult
+from ljjax.fit.moving import DynamicResult
 from ljjax.fit.moving_figures import Axis, Trace
 from ljjax.fit.points import UNIT
 from ljjax.fit.report import assumed_table, inputs_table, parameters_table
@@ -89,10 +89,9 @@ def verdict(result: DynamicResult) -> tuple[bool, str]:
         values = f"all {known} fitted parameters can be relied on"
     if not result.estimate.converged:
         return False, "Do not use it yet: the search did not converge."
-    excess = float(np.max(result.estimate.sigma / np.maximum(result.noise, 1e-12)))
-    if excess > WORSE or result.colour > COLOURED:
+    if result.structured:
         return False, (
-            f"With care: errors are {excess:.1f} × the noise, so the model lacks something these runs show; the values "
+            f"With care: errors are {result.unexplained:.1f} × the noise, so the model lacks something these runs show; the values "
             "are a best compromise, and their standard deviations are too small."
         )
     train, held = rms_deg(result), rms_deg(result, "held_out")
@@ -202,7 +201,7 @@ def _course(result: DynamicResult, data: Mapping[str, Any]) -> list[str]:
             page.figure(
                 moving_figures.descent(result),
                 "Descent",
-                f"Each step is judged by its own scatter, so it ends near 1. {rounds}",
+                rounds,
             ),
             page.figure(
                 moving_figures.approach(result),
@@ -216,7 +215,7 @@ def _course(result: DynamicResult, data: Mapping[str, Any]) -> list[str]:
             page.figure(
                 moving_figures.profile(result, name, found["ci95"]),
                 f"Profile of {name}",
-                f"Every other parameter fitted anew at each point. 95 % interval {number(low)} … {number(high)}.",
+                f"Every other parameter fitted anew at each point. 95 % interval {number(low, 4)} … {number(high, 4)}.",
             )
         )
     return out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 import optax
 
@@ -15,7 +16,7 @@ STEPS, RATE = 150, 0.05
 def descend(problem: Problem, x0: np.ndarray | None, rng: np.random.Generator, steps: int = STEPS) -> Asking[Estimate]:
     """Stochastic descent from the windows' own starts, then free runs for the covariance and the last digits.
 
-    Gradients are preconditioned by the running diagonal of JᵀJ, as the parameters' effects differ by orders.
+    Adam's own scaling evens out that parameters' effects differ by orders.
     """
     how: Round = ROUNDS[0]
     everything = cut(problem.motions, how.step_s)
@@ -26,6 +27,10 @@ def descend(problem: Problem, x0: np.ndarray | None, rng: np.random.Generator, s
         keep = np.sort(rng.permutation(len(everything))[:TILE])
         search = Search(problem, everything.only(keep), how)
         gradient = yield from search.gradient(x)
-        update, state = rule.update(gradient, state)
-        x = x + np.asarray(update) * problem.coordinates.spread / 3.0
+        with jax.numpy_dtype_promotion("standard"):  # optax mixes whole numbers and floats
+            update, state = rule.update(gradient, state)
+        step = np.asarray(update) * problem.coordinates.spread / 3.0
+        while not problem.coordinates.admissible(x + step):
+            step = step / 2
+        x = x + step
     return (yield from estimate(problem, x, ROUNDS[1:]))

@@ -29,7 +29,8 @@ class Motion:
         run: the log; `source` of its inputs.
         t: (T,) stamps [s]; `y` (T, c) measured θ (c = 1) or joint angles (c = n) [rad].
         noise: (c,) standard deviation of the white part of the measurement [rad].
-        q0: (n,) shape at the start [rad]; `q0_sd` its standard deviation [rad].
+        q0, v0: (n,) shape [rad] and rates [rad/s] at the start, at rest unless the run begins in motion; `q0_sd`
+            the standard deviation of the shape [rad].
         input_t, tendons, vacuum, hold: the inputs, as in `ljjax.inputs.Inputs`.
     """
 
@@ -39,6 +40,7 @@ class Motion:
     y: np.ndarray
     noise: np.ndarray
     q0: np.ndarray
+    v0: np.ndarray
     q0_sd: float
     input_t: np.ndarray
     tendons: np.ndarray
@@ -66,12 +68,25 @@ def motion(run: Run, n: int, source: Source = "commands") -> Motion:
     if np.all(np.std(y, axis=0) < 2 * noise + 1e-9):
         moved = np.degrees(np.std(y.mean(axis=1)))
         raise InputError(f"{run.path}: no excitation: the shape moves by {moved:.2g}° only, no more than its noise")
-    q0 = np.asarray(initial_shape(run, n))
+    q0, v0 = np.asarray(initial_shape(run, n)), np.zeros(n)
     still = max(1, int(np.sum(t <= _first_change(inputs.t, inputs.tendons, inputs.pressure_kpa, t))))
     spread = float(np.sqrt(np.mean(noise**2) / min(still, 200) / y.shape[1]))
-    return Motion(
-        run, source, t, y, noise, q0, max(spread, 1e-6), np.asarray(inputs.t), tendons, vacuum, bool(inputs.hold)
-    )
+    if (moving := _begins_moving(t, y, noise)) is not None:
+        q0, v0, spread = np.broadcast_to(moving[0], (n,)), np.broadcast_to(moving[1], (n,)), 2 * spread
+    hold = bool(inputs.hold)
+    return Motion(run, source, t, y, noise, q0, v0, max(spread, 1e-6), np.asarray(inputs.t), tendons, vacuum, hold)
+
+
+def _begins_moving(t: np.ndarray, y: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Shape (c,) and rates (c,) at the first sample, where the first tenth of a second shows motion beyond noise."""
+    near = t - t[0] <= 2 * SMOOTH_S
+    if near.sum() < 5:
+        return None
+    x = t[near] - t[0]
+    line = np.polynomial.polynomial.polyfit(x, y[near], 2)
+    basis = np.stack([np.ones_like(x), x, x**2], axis=1)
+    sd = noise * np.sqrt(np.linalg.pinv(basis.T @ basis)[1, 1])
+    return (line[0], line[1]) if np.all(np.abs(line[1]) > np.maximum(6 * sd, 0.02)) else None
 
 
 def _first_change(input_t, tendons, vacuum, t) -> float:
@@ -178,9 +193,9 @@ def cut(motions: Sequence[Motion], h: float) -> Windows:
 
 def _starts(m: Motion, begins: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Shape (W, n) and rates (W, n) at the times `begins` by a quadratic through the samples near them, and the
-    standard deviation of the mean angle (W,); the first is the run's own start, at rest."""
-    n = len(m.q0)
-    q, v, sd = np.tile(m.q0, (len(begins), 1)), np.zeros((len(begins), n)), np.full(len(begins), m.q0_sd)
+    standard deviation of the mean angle (W,); the first is the run's own start."""
+    q, v, sd = (np.tile(x, (len(begins), 1)) for x in (m.q0, m.v0, m.q0_sd))
+    sd = sd[:, 0]
     noise = float(np.sqrt(np.mean(m.noise**2) / m.y.shape[1]))
     for i, t in enumerate(begins[1:], start=1):
         near = np.abs(m.t - t) <= SMOOTH_S

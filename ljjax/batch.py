@@ -1,4 +1,4 @@
-"""Many robots or runs at once on a processor: tiles that stay in its cache, one thread a core."""
+"""Many robots or runs at once: on a processor in tiles, one thread a core, compiled without duplicated work."""
 
 from __future__ import annotations
 
@@ -10,37 +10,55 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-TILE = 64
-"""Elements a tile."""
+LEAST, MOST = 32, 512
+"""Elements a tile: fewer waste the time in which operations start, more leave the cache."""
+OPTIONS: dict[str, Any] = {"xla_disable_hlo_passes": "cse_barrier_expander"}
+"""Compiler options for processors: the barriers in `ljjax.step` hold until operations are fused. XLA removes them
+earlier by default, and then computes anew what several results share, several times over."""
 
 
-def over(function: Callable[..., Any], tile: int = TILE, threads: int | None = None) -> Callable[..., Any]:
-    """`jax.vmap(function)` over the leading axis of all arguments, computed tile by tile on several threads.
+def options() -> dict[str, Any]:
+    """What to hand to `jax.jit(compiler_options=…)` where the solver runs in batches."""
+    return OPTIONS if jax.default_backend() == "cpu" else {}
 
-    The result equals that of `jax.jit(jax.vmap(function))`. One program is compiled for a tile, whatever the size of
-    the batch; the last tile is filled up with the last element. For use outside jit, on data that is known.
+
+def over(function: Callable[..., Any], threads: int | None = None) -> Callable[..., Any]:
+    """`jax.vmap(function)` over the leading axis of all arguments, computed in tiles on several threads.
+
+    The results are those of `jax.jit(jax.vmap(function))`; an element that fails (NaN) leaves the others alone. One
+    program is compiled a width of tile; the last tile is filled up with its last element. For use outside jit; on
+    other devices than processors it is one `vmap`.
 
     Args:
         function: of one element's arguments, pytrees of arrays; pure.
-        tile: elements computed together; a smaller batch is split evenly over the threads.
         threads: tiles computed at the same time; the machine's cores by default.
     """
-    program = jax.jit(jax.vmap(function))
+    program = jax.jit(jax.vmap(function), compiler_options=options())
     workers = threads or os.cpu_count() or 1
+    compiled: set[int] = set()
 
     def run(*arguments: Any) -> Any:
-        size = jax.tree.leaves(arguments)[0].shape[0]
-        width = min(tile, math.ceil(size / workers))
-        starts = range(0, size, width)
+        if jax.default_backend() != "cpu":
+            return program(*arguments)
+        arrays = jax.tree.map(np.asarray, arguments)  # without a copy; slices of NumPy's are views
+        size = jax.tree.leaves(arrays)[0].shape[0]
+        width = min(max(math.ceil(size / workers), LEAST), MOST, size)
 
         def compute(start: int) -> Any:
-            index = jnp.minimum(jnp.arange(start, start + width), size - 1)
-            return jax.block_until_ready(program(*jax.tree.map(lambda x: x[index], arguments)))
+            def tile(x: np.ndarray) -> np.ndarray:
+                part = x[start : start + width]
+                return np.concatenate([part, np.repeat(part[-1:], width - len(part), axis=0)])
 
-        first = compute(0)  # alone, so that the program is compiled once
+            return jax.block_until_ready(program(*jax.tree.map(tile, arrays)))
+
+        starts = range(0, size, width)
+        if width not in compiled:  # once, not once a thread
+            compute(0)
+            compiled.add(width)
         with ThreadPoolExecutor(workers) as pool:
-            parts = [first, *pool.map(compute, starts[1:])]
+            parts = list(pool.map(compute, starts))
         return jax.tree.map(lambda *x: jnp.concatenate(x)[:size], *parts)
 
     return run

@@ -319,3 +319,29 @@ def test_statics_join_the_motion(tmp_path: Path):
     result = fit(ModelFile(wrong, frozen=KNOWN), [*runs, probe])
     assert result.parameters["chain.lever_arm_m"].value == pytest.approx(0.02, rel=0.01)
     assert result.parameters["elastic.c3"].value == pytest.approx(1.5, rel=0.02)
+
+
+def test_a_run_that_begins_in_motion_starts_with_its_rate():
+    whole = logged(robot(), 0)
+    late = dataclasses.replace(whole, signals={k: _from(s, 0.6) for k, s in whole.signals.items()})
+    m = motion(late, 2)
+    truth = np.gradient(whole.signals["shape"].value.mean(axis=1), 0.01)[60]
+    assert abs(truth) > 0.1
+    np.testing.assert_allclose(m.v0.mean(), truth, rtol=0.3)
+    assert not motion(whole, 2).v0.any()
+
+
+def _from(s: Signal, t0: float) -> Signal:
+    keep = s.t >= t0 - 1e-9
+    return dataclasses.replace(s, t=s.t[keep], value=s.value[keep])
+
+
+@pytest.mark.parametrize("options", [{"method": "adam"}, {"restarts": 3}], ids=["adam", "restarts"])
+def test_other_ways_lead_to_the_same_robot(found, options):
+    result = fit(guess(robot()), [logged(robot(), s) for s in range(3)], seed=1, **options)
+    assert isinstance(result, DynamicResult)
+    for p in found.fitted:
+        assert p.sd is not None
+        assert abs(result.parameters[p.name].value - p.value) < 0.3 * p.sd
+    if "restarts" in options:
+        assert len(result.restarts) == 3

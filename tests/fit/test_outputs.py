@@ -19,6 +19,7 @@ from ljjax import modelfile
 from ljjax.data import OCTROBOT
 from ljjax.errors import InputError
 from ljjax.fit import fit
+from ljjax.fit.result import StaticResult
 from ljjax.logs import read_all
 from ljjax.model import UNITS, get
 
@@ -100,6 +101,7 @@ def test_model_toml_is_the_result(octrobot):
     assert loaded.uncertainty == {k: p["sd"] for k, p in octrobot.json["parameters"].items() if p["sd"] is not None}
     assert loaded.model.n == 6 and loaded.frozen == ()
     again = fit(loaded, octrobot.result.runs)
+    assert isinstance(again, StaticResult)
     for name in again.static.names:
         assert float(get(again.model, name)) == pytest.approx(octrobot.json["parameters"][name]["value"], rel=1e-6)
 
@@ -224,7 +226,6 @@ def test_the_same_inputs_give_the_same_bytes(octrobot, tmp_path: Path):
 
 def test_a_fit_with_a_bound_and_a_frozen_parameter_is_written_whole(truth, measured, run_of, tmp_path: Path):
     """NaN inside (what a bound holds has no deviation) becomes null, the pictures cope, the verdicts say it."""
-    from ljjax.fit.result import StaticResult
     from ljjax.fit.static import fit_static
     from ljjax.modelfile import ModelFile
 
