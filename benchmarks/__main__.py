@@ -22,12 +22,13 @@ PACKAGES = ("jax", "diffrax", "numpy", "scipy", "scikit-sundae", "casadi", "mujo
 def main() -> None:
     """Run the benchmarks asked for, all by default."""
     jax.config.update("jax_enable_x64", True)
-    from benchmarks import jacobian, simulation
+    from benchmarks import fit_speed, jacobian, simulation
 
     parts = {
         "equal-accuracy": simulation.equal_accuracy,
         "against-c": simulation.against_c,
         "jacobian": jacobian.cost,
+        "fit": fit_speed.whole_fit,
     }
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("part", nargs="*", default=list(parts), help=f"of {', '.join(parts)}")

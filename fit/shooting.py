@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ljjax import fast
+from ljjax import batch, fast
 from ljjax.fit.windows import Windows
 from ljjax.model import Model
 from ljjax.step import Drive, How, Unrolled, in_balance
@@ -197,7 +197,6 @@ def _tiled(kernel: Callable, arguments: Any) -> Any:
 
 
 _ready: set[Any] = set()
-_OPTIONS: Any = {"xla_disable_hlo_passes": "fusion"} if jax.default_backend() == "cpu" else None
 
 
 def _push(f: Callable, primals: Any, tangents: Any) -> Any:
@@ -209,7 +208,7 @@ def _push(f: Callable, primals: Any, tangents: Any) -> Any:
     return jax.vmap(along, out_axes=(None, 0))(tangents)
 
 
-@partial(jax.jit, compiler_options=_OPTIONS)
+@partial(jax.jit, compiler_options=batch.options())
 def _balance(model, slopes, q, v, drive):
     """Starting states from the data, (W,), and their derivatives (k + 1, W)."""
 
@@ -222,7 +221,7 @@ def _balance(model, slopes, q, v, drive):
     return _push(f, (model, q), (with_angle, tuple(along for _ in q)))
 
 
-@partial(jax.jit, static_argnums=0, compiler_options=_OPTIONS)
+@partial(jax.jit, static_argnums=0, compiler_options=batch.options())
 def _shoot(joints: bool, model, slopes, state, slope, drive, h):
     """Middles and ends of the windows, the path (q, v, what is seen − q) from start to end, and all derivatives."""
 

@@ -82,6 +82,11 @@ def unroll(x: Array) -> Vector:
     return tuple(x[i] for i in range(x.shape[0]))
 
 
+apart = jax.lax.optimization_barrier
+"""Keeps XLA from computing anew, inside each result that needs them, what these values take; `ljjax.batch` tells how
+to compile so that it holds."""
+
+
 def _running(x: Sequence[Array]) -> list[Array]:
     out = list(x)
     for i in range(1, len(out)):
@@ -93,7 +98,7 @@ def inertia_and_coriolis(c: Constants, q: Sequence[Array], v: Sequence[Array]) -
     """M(q), its lower rows, and C(q, v)v, from 2n sines and cosines: sums of A_ab cos(ψ_a − ψ_b) from the end on."""
     n = len(q)
     psi, omega = _running(q), _running(v)
-    cos, sin = [jnp.cos(x) for x in psi], [jnp.sin(x) for x in psi]
+    cos, sin = apart(([jnp.cos(x) for x in psi], [jnp.sin(x) for x in psi]))
     m: list[list[Any]] = [[None] * n for _ in range(n)]
     for i in range(n - 1, -1, -1):
         for k in range(i, -1, -1):
@@ -107,12 +112,13 @@ def inertia_and_coriolis(c: Constants, q: Sequence[Array], v: Sequence[Array]) -
             elif i + 1 < n:
                 x = x + m[i + 1][i]
             m[i][k] = x
+        m[i][: i + 1] = apart(m[i][: i + 1])
     square = [w * w for w in omega]
     force = []
     for i in range(n):
         along = sum(c.a[i][k] * cos[k] * square[k] for k in range(n))
         across = sum(c.a[i][k] * sin[k] * square[k] for k in range(n))
-        force.append(sin[i] * along - cos[i] * across)
+        force.append(apart(sin[i] * along - cos[i] * across))
     return tuple(tuple(row[: i + 1]) for i, row in enumerate(m)), tuple(_running(force[::-1])[::-1])
 
 
@@ -131,6 +137,9 @@ def _factor(matrix: Sequence[Sequence[Array]]) -> tuple[list[list[Any]], list[An
             for s in range(j):
                 rest = rest - low[i][s] * scaled[s]
             low[i][j] = rest * inverse[j]
+        d[j], inverse[j], column = apart((d[j], inverse[j], [low[i][j] for i in range(j + 1, n)]))
+        for i in range(j + 1, n):
+            low[i][j] = column[i - j - 1]
     return low, inverse
 
 
@@ -141,10 +150,12 @@ def _substitute(factors: tuple[list[list[Any]], list[Any]], right: Sequence[Arra
     for i in range(n):
         for s in range(i):
             y[i] = y[i] - low[i][s] * y[s]
+        y[i] = apart(y[i])
     y = [y[i] * inverse[i] for i in range(n)]
     for i in range(n - 1, -1, -1):
         for s in range(i + 1, n):
             y[i] = y[i] - low[s][i] * y[s]
+        y[i] = apart(y[i])
     return tuple(y)
 
 
@@ -181,26 +192,33 @@ def _joint(stage: _Stage, i: int, v: Array, side: Array) -> tuple[Array, Array]:
     return torque, z
 
 
-def _residual(stage: _Stage, v: Sequence[Array], side: Sequence[Array]) -> list[Array]:
+def _felt(stage: _Stage, v: Sequence[Array], side: Sequence[Array]) -> tuple[list[Array], list[Array]]:
+    """Each joint's own torque [N·m] and its slope over the joint's rate [N·m·s/rad]."""
+    pairs = [
+        jax.jvp(lambda x, i=i: _joint(stage, i, x, side[i])[0], (v[i],), (jnp.ones_like(v[i]),)) for i in range(len(v))
+    ]
+    return apart(([torque for torque, _ in pairs], [slope for _, slope in pairs]))
+
+
+def _residual(stage: _Stage, v: Sequence[Array], torque: Sequence[Array]) -> list[Array]:
+    """F(v), from the joints' own torques."""
     n = len(v)
     change = [v[i] - stage.v[i] for i in range(n)]
-    gravity = stage.alpha1 * jnp.sin(sum(stage.q) + stage.s * sum(v))
+    gravity = apart(stage.alpha1 * jnp.sin(sum(stage.q) + stage.s * sum(v)))
     out = []
     for i in range(n):
         inertia = sum((stage.m[i][k] if k <= i else stage.m[k][i]) * change[k] for k in range(n))
-        out.append(inertia - stage.s * (stage.load[i] - gravity - _joint(stage, i, v[i], side[i])[0]))
+        out.append(inertia - stage.s * (stage.load[i] - gravity - torque[i]))
     return out
 
 
-def _matrix(stage: _Stage, v: Sequence[Array], side: Sequence[Array]) -> list[list[Array]]:
-    """∂F/∂v, its lower rows."""
-    n = len(v)
-    common = stage.s * stage.s * stage.alpha1 * jnp.cos(sum(stage.q) + stage.s * sum(v))
+def _matrix(stage: _Stage, v: Sequence[Array], slope: Sequence[Array]) -> list[list[Array]]:
+    """∂F/∂v, its lower rows, from the slopes of the joints' own torques."""
+    common = apart(stage.s * stage.s * stage.alpha1 * jnp.cos(sum(stage.q) + stage.s * sum(v)))
     rows = []
-    for i in range(n):
-        _, slope = jax.jvp(lambda x, i=i: _joint(stage, i, x, side[i])[0], (v[i],), (jnp.ones_like(v[i]),))
+    for i in range(len(v)):
         row = [stage.m[i][k] + common for k in range(i + 1)]
-        row[i] = row[i] + stage.s * slope
+        row[i] = row[i] + stage.s * slope[i]
         rows.append(row)
     return rows
 
@@ -216,14 +234,17 @@ class How(NamedTuple):
 def _newton(how: How, start: Vector, stage: _Stage) -> tuple[Vector, Vector]:
     def iterate(carry: tuple[Vector, Vector]) -> tuple[Vector, Vector]:
         v, side = carry
-        right = [-r for r in _residual(stage, v, side)]
-        step = _substitute(_factor(_matrix(stage, v, side)), right)
+        torque, slope = _felt(stage, v, side)
+        right, matrix = apart(([-r for r in _residual(stage, v, torque)], _matrix(stage, v, slope)))
+        step = _substitute(_factor(matrix), right)
         new = [x + dx for x, dx in zip(v, step, strict=True)]
         crossed = [a * x < 0 for a, x in zip(side, new, strict=True)]
         turned = [
             jnp.where(c, -a, jnp.where(a == 0, jnp.sign(dx), a)) for c, a, dx in zip(crossed, side, step, strict=True)
         ]
-        return tuple(jnp.where(c, jnp.zeros_like(x), x) for c, x in zip(crossed, new, strict=True)), tuple(turned)
+        return apart(
+            (tuple(jnp.where(c, jnp.zeros_like(x), x) for c, x in zip(crossed, new, strict=True)), tuple(turned))
+        )
 
     carry = start, tuple(jnp.sign(x) for x in start)
     if how.loops:
@@ -243,8 +264,12 @@ def _solve_jvp(how, primals, tangents):
     (start, stage), (_, moved) = primals, tangents
     v, side = _newton(how, start, stage)
     side = tuple(jnp.where(x == 0, s, jnp.sign(x)) for x, s in zip(v, side, strict=True))
-    factors = _factor(_matrix(stage, v, side))
-    _, change = jax.jvp(lambda given: _residual(given, v, side), (stage,), (moved,))
+    factors = _factor(_matrix(stage, v, _felt(stage, v, side)[1]))
+
+    def residual(given: _Stage) -> list[Array]:
+        return _residual(given, v, [_joint(given, i, v[i], side[i])[0] for i in range(len(v))])
+
+    _, change = jax.jvp(residual, (stage,), (moved,))
     return v, _substitute(factors, [-x for x in change])
 
 
@@ -347,7 +372,7 @@ def advance(model: Model, c: Constants, state: Unrolled, drive: Drive, h: Any, h
         )
         new = _solve(how, start, stage)
         deflected = tuple(_joint(stage, i, new[i], jnp.sign(new[i]))[1] for i in range(n))
-        return tuple(q[i] + s * new[i] for i in range(n)), new, deflected
+        return apart((tuple(q[i] + s * new[i] for i in range(n)), new, deflected))
 
     begun = (state.q, state.v, state.z)
 
@@ -358,7 +383,7 @@ def advance(model: Model, c: Constants, state: Unrolled, drive: Drive, h: Any, h
             tuple(a + more * (b - a) for a, b in zip(x, y, strict=True)) for x, y in zip(begun, first, strict=True)
         )
         guess = tuple(a + (b - a) / GAMMA for a, b in zip(state.v, first[1], strict=True))
-        return (q, v, z), tuple(jnp.where(g * b < 0, b, g) for g, b in zip(guess, first[1], strict=True))
+        return apart(((q, v, z), tuple(jnp.where(g * b < 0, b, g) for g, b in zip(guess, first[1], strict=True))))
 
     if how.loops:
 

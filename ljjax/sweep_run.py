@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ljjax import fast
+from ljjax import batch, fast
 from ljjax.dynamics import State
 from ljjax.errors import InputError
 from ljjax.inputs import Inputs, from_run
@@ -22,8 +22,6 @@ from ljjax.simulation import ITERATIONS, initial_shape, rest
 STAMPS = 500
 """Reported stamps of a run, unless asked for others."""
 LARGEST_BATCH = 1024
-UNFUSED_FROM = 64
-"""Batch size from which a processor runs faster without XLA's fusion, which duplicates work."""
 SAME_SHAPE = 1.25
 """Runs whose numbers of steps differ by less than this factor are padded to one length, and compiled once."""
 
@@ -131,7 +129,7 @@ def inadmissible(model: Model, columns: Mapping[str, np.ndarray], count: int, pr
 
 
 @cache
-def _program(paths: tuple[str, ...], errors: bool, free_start: bool, options: tuple[tuple[str, str], ...]) -> Callable:
+def _program(paths: tuple[str, ...], errors: bool, free_start: bool) -> Callable:
     """The compiled function of a batch; `free_start`: elements start at rest in their own shapes."""
 
     def one(values, shape, model: Model, initial, case: Any, h, steps: int):
@@ -156,8 +154,8 @@ def _program(paths: tuple[str, ...], errors: bool, free_start: bool, options: tu
             "lost_at": jnp.where(jnp.all(finite), jnp.full_like(h, jnp.nan), case.stamps[jnp.argmin(finite)]),
         }
 
-    batch = jax.vmap(one, in_axes=(0, 0, None, None, None, None, None))
-    return jax.jit(batch, static_argnums=6, compiler_options=dict(options))
+    many = jax.vmap(one, in_axes=(0, 0, None, None, None, None, None))
+    return jax.jit(many, static_argnums=6, compiler_options=batch.options())
 
 
 def simulate_batch(
@@ -171,12 +169,10 @@ def simulate_batch(
 ) -> dict[str, np.ndarray]:
     """Outputs of a batch, each (B,) and θ (B, K): parameters `columns` (path → (B,)), first shapes `shape` (B, n)."""
     paths = tuple(path for path in columns if path in UNITS)
-    unfused = len(shape) >= UNFUSED_FROM and jax.default_backend() == "cpu"
-    options = (("xla_disable_hlo_passes", "fusion"),) if unfused else ()
     dtype = case.inputs.t.dtype
     values = jnp.asarray(np.stack([columns[p] for p in paths], axis=1) if paths else np.zeros((len(shape), 0)), dtype)
     arrays = case._replace(stamps=jnp.asarray(case.stamps, dtype), measured=jnp.asarray(case.measured, dtype), steps=0)
-    run = _program(paths, errors, initial is None, options)
+    run = _program(paths, errors, initial is None)
     out = run(values, jnp.asarray(shape, dtype), model, initial, arrays, jnp.asarray(step_s, dtype), case.steps)
     return {name: np.asarray(x) for name, x in out.items()}
 

@@ -67,7 +67,7 @@ def test_a_short_step_follows_the_right_hand_side(random_robot):
     state = State(jnp.array([0.2, -0.1, 0.3]), jnp.array([0.6, -0.9, 0.5]), jnp.array([0.01, 0.0, -0.02]))
     u, u_p, tau, h = jnp.array([20.0, 5.0]), jnp.asarray(12.0), jnp.array([0.02, -0.05, 0.03]), 1e-7
     drive = step.Drive(u[0], u[1], u_p, step.unroll(tau))
-    first = step.Unrolled(*(step.unroll(x) for x in state))
+    first = step.Unrolled(step.unroll(state.q), step.unroll(state.v), step.unroll(state.z))
     after = step.advance(model, step.constants(model), first, drive, h, step.How())
     slope = [(jnp.stack(b) - a) / h for a, b in zip(state, after[:3], strict=True)]
     for got, expected in zip(slope, rhs(model, state, u, u_p, tau), strict=True):
