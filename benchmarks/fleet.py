@@ -31,8 +31,8 @@ def typical() -> Model:
     return jax.tree.map(lambda leaf: leaf.astype(float), model)
 
 
-def fleet(robots: int, seconds: float, seed: int = 0) -> tuple[Model, Inputs, State]:
-    """Models, commands (at 100 Hz, linear between) and first states of a batch: every leaf with the robots in front,
+def fleet(robots: int, seconds: float, seed: int = 0, hold: bool = False) -> tuple[Model, Inputs, State]:
+    """Models, commands (at 100 Hz, held or linear between) and first states of a batch: every leaf with the robots in front,
     but for the commands' stamps (T,), which are shared.
 
     Tensions are sums of three slow sines a robot, up to about 27 N, on 1 N of co-contraction; the vacuum moves between
@@ -50,7 +50,7 @@ def fleet(robots: int, seconds: float, seed: int = 0) -> tuple[Model, Inputs, St
     tendons = 1 + np.stack([np.maximum(pull, 0), np.maximum(-pull, 0)], axis=-1)
     hertz, turn = rng.uniform([0.05, 0], [0.3, 2 * np.pi], (robots, 2)).T[..., None]
     vacuum = 20 + 18 * np.sin(2 * np.pi * hertz * t + turn)
-    inputs = Inputs(jnp.asarray(t), jnp.asarray(tendons), jnp.asarray(vacuum), hold=False)
+    inputs = Inputs(jnp.asarray(t), jnp.asarray(tendons), jnp.asarray(vacuum), hold=hold)
     states = jax.jit(jax.vmap(lambda m, u, p: rest(m, of_one(inputs, u, p))))(
         models, inputs.tendons, inputs.pressure_kpa
     )

@@ -37,8 +37,11 @@ Simulator = Callable[[], np.ndarray]
 
 
 def diffrax_vmap(task: Task, solver: Any, rtol: float, atol: float) -> Simulator:
-    """diffrax with its own defaults under vmap, commands linear between stamps."""
+    """diffrax with its own defaults under vmap; where commands are held, steps end where they jump."""
     t = task.inputs.t
+    steps: Any = diffrax.PIDController(rtol=rtol, atol=atol)
+    if task.inputs.hold:
+        steps = diffrax.ClipStepSizeController(steps, jump_ts=t)
 
     def one(model: Model, tendons: Any, vacuum: Any, state: State) -> Any:
         given = of_one(task.inputs, tendons, vacuum)
@@ -50,7 +53,7 @@ def diffrax_vmap(task: Task, solver: Any, rtol: float, atol: float) -> Simulator
             dt0=None,
             y0=state,
             saveat=diffrax.SaveAt(ts=t, fn=lambda t, y, _: y.q),
-            stepsize_controller=diffrax.PIDController(rtol=rtol, atol=atol),
+            stepsize_controller=steps,
             max_steps=None,
             adjoint=diffrax.ForwardMode(),
             throw=False,

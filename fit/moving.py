@@ -190,9 +190,9 @@ class DynamicResult(FitResult):
             )
         if self.structured:
             out.append(
-                f"what is left over is {self.unexplained:.1f} × the measurements' white noise and {self.colour:.1f} × as "
-                "wide in effect: the model lacks something these runs show; the values are biased by more than their "
-                "standard deviations"
+                f"what is left over is {self.unexplained:.1f} × the measurements' white noise and {self.colour:.1f} × "
+                "as wide in effect: the model lacks something these runs show; the values are biased by more than "
+                "their standard deviations"
             )
         if self.restarts and max(self.restarts) > 1.02 * min(self.restarts):
             worse = sum(r > 1.02 * min(self.restarts) for r in self.restarts)

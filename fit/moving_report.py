@@ -91,7 +91,7 @@ def verdict(result: DynamicResult) -> tuple[bool, str]:
         return False, "Do not use it yet: the search did not converge."
     if result.structured:
         return False, (
-            f"With care: errors are {result.unexplained:.1f} × the noise, so the model lacks something these runs show; "
+            f"With care: errors are {result.unexplained:.1f} × the noise, so the model lacks something they show; "
             "the values are a best compromise, and their standard deviations are too small."
         )
     train, held = rms_deg(result), rms_deg(result, "held_out")

@@ -78,14 +78,13 @@ def motion(run: Run, n: int, source: Source = "commands") -> Motion:
 
 
 def _begins_moving(t: np.ndarray, y: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Shape (c,) and rates (c,) at the first sample, where the first tenth of a second shows motion beyond noise."""
-    near = t - t[0] <= 2 * SMOOTH_S
+    """Shape (c,) and rates (c,) at the first sample, where the first few samples show motion beyond noise."""
+    near = t - t[0] <= SMOOTH_S + 1e-9
     if near.sum() < 5:
         return None
     x = t[near] - t[0]
-    line = np.polynomial.polynomial.polyfit(x, y[near], 2)
-    basis = np.stack([np.ones_like(x), x, x**2], axis=1)
-    sd = noise * np.sqrt(np.linalg.pinv(basis.T @ basis)[1, 1])
+    line = np.polynomial.polynomial.polyfit(x, y[near], 1)
+    sd = noise / np.sqrt(np.sum((x - x.mean()) ** 2))
     return (line[0], line[1]) if np.all(np.abs(line[1]) > np.maximum(6 * sd, 0.02)) else None
 
 
