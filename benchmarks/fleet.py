@@ -32,8 +32,8 @@ def typical() -> Model:
 
 
 def fleet(robots: int, seconds: float, seed: int = 0, hold: bool = False) -> tuple[Model, Inputs, State]:
-    """Models, commands (at 100 Hz, held or linear between) and first states of a batch: every leaf with the robots in front,
-    but for the commands' stamps (T,), which are shared.
+    """Models, commands (at 100 Hz, held or linear between) and first states: every leaf with the robots in front, but
+    for the commands' stamps (T,), which are shared.
 
     Tensions are sums of three slow sines a robot, up to about 27 N, on 1 N of co-contraction; the vacuum moves between
     2 and 38 kPa.

@@ -143,7 +143,7 @@ def test_a_reader_is_told_at_once_whether_to_trust_it(found, page):
     for result, said in (
         (changed(found, converged=False), "Do not use it yet: the search did not converge"),
         (unsure, " of 4 fitted parameters can be relied on"),
-        (lacking, "the model lacks something these runs show"),
+        (lacking, "the model lacks something they show"),
         (astray, "errors on runs it has not seen"),
     ):
         good, why = verdict(result)
