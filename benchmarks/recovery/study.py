@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -175,7 +176,7 @@ def main() -> None:
     found["plant"] = halved(draw(CHECKED, given.seed), given.seconds, given.seed)
     with artefacts(given.out) as folder:
         (folder / "recovery.json").write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    show(found, Console())
+    show(found, Console(width=None if sys.stdout.isatty() else 140))
 
 
 if __name__ == "__main__":
