@@ -42,7 +42,7 @@ recovery: .venv/.ready ## identify 40 simulated robots and compare with the trut
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test,bench]"
 	@touch $@
 
-bench: .venv/.bench ## speed side by side with other simulators, in about ten minutes; writes out/bench/
+bench: .venv/.bench ## speed side by side with other simulators; writes out/bench/
 	$(BIN)/python -m benchmarks
 
 clean: ## remove what the commands above made
