@@ -2,11 +2,13 @@
 
 Parameters that constrain each other (c₁, c₂, c₃; c₄, c₅; σ₁, σ₂, μ_C, μ_S) go through `ljjax.constraints`, so that
 every step is an admissible robot. Where one of such a set is frozen the others move on their own (as logarithms, or
-as they are), and inadmissible steps are refused. Parameters of effects move as they are, between their bounds.
+as they are), and inadmissible steps are refused. How large an effect is moves as it is, what form it has as a logarithm
+where it must be positive.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import equinox as eqx
@@ -16,7 +18,7 @@ import numpy as np
 
 from ljjax.constraints import constrain, unconstrain
 from ljjax.errors import InputError
-from ljjax.model import Model, check, get, leaf, passivity_margin, replace
+from ljjax.model import Model, check, get, leaf, limits, passivity_margin, replace
 
 GROUPS = (
     ("elastic.c1", "elastic.c2", "elastic.c3"),
@@ -34,8 +36,8 @@ class Coordinates:
         like: the model that gives everything else.
         names: the free parameters, by path, in the order of x.
         start: (k,) the coordinates of `like`.
-        lower, upper: (k,) bounds of x; ±inf for none.
         spread: (k,) how far a coordinate can reasonably be from its start: a factor e³ for a logarithm.
+        bounds: lowest and highest value of the parameters that have any, by path, in the parameter's unit.
     """
 
     def __init__(self, like: Model, names: Sequence[str], pressure_max_kpa: float):
@@ -45,44 +47,53 @@ class Coordinates:
         whole = [p for group in GROUPS if set(group) <= set(names) for p in group]
         alone = ("chain.half_length_m", "chain.radius_m", "chain.lever_arm_m", "chain.segment_mass_kg")
         single = [p for p in names if p in (*alone, "gravity.alpha1", "friction.sigma3", "friction.v_s")]
+        about = {f"effects.{e.id}.{name}": x for e in like.effects for name, x in e.fields().items()}
+        forms = {p for p, x in about.items() if x["pilots"] and x["low"] > 0}
         self._built = tuple(p for p in names if p in whole or p in single)
-        self._own = tuple(p for p in names if p not in self._built)
-        self._log = tuple(p for p in self._own if p not in LINEAR and not p.startswith("effects."))
+        self._log = np.array([p in forms if p in about else p not in (*self._built, *LINEAR) for p in names], bool)
+        self._index = np.array([names.index(p) for p in self._built], int)
+        self._bare = without_effects(self.like)
         try:
-            free = unconstrain(self.like, self.pressure)
+            free = unconstrain(self._bare, self.pressure)
         except InputError as error:
             raise InputError(f"the starting model: {str(error).removeprefix('model: ')}") from None
-        own = {p: float(get(self.like, p)) for p in self._own}
-        built = {p: float(free[p]) for p in self._built}
-        self.start = np.array([built[p] if p in built else np.log(own[p]) if p in self._log else own[p] for p in names])
+        value = np.array([float(get(self.like, p)) for p in names])
+        self.start = np.where(self._log, np.log(np.where(self._log, value, 1.0)), value)
+        self.start[self._index] = [float(free[p]) for p in self._built]
         size = max(float(get(self.like, "elastic.c3")), 0.1)
         linear = {"gravity.alpha1": 3 * size, "elastic.c1": size / 100, "elastic.c2": size / 3}
         linear["jamming.c5"] = 3 * float(get(self.like, "jamming.c4"))
-        self.spread = np.array([linear.get(p, 3.0) if p in (*LINEAR,) and p not in whole else 3.0 for p in names])
-        self.lower, self.upper = np.full(len(names), -np.inf), np.full(len(names), np.inf)
-        self._base = (self.like, self.names, self._built, self._log, self.pressure)
+        linear |= {p: 10 * x["scale"] for p, x in about.items() if p not in forms} | dict.fromkeys(forms, 1.5)
+        self.spread = np.array([linear.get(p, 3.0) if p in linear and p not in whole else 3.0 for p in names])
+        self.bounds = {p: pair for p, pair in limits(like).items() if p in names}
 
     def __len__(self) -> int:
         return len(self.names)
 
     def model(self, x: np.ndarray) -> Model:
-        """The model at x (k,)."""
-        values = _values(*self._base, jnp.asarray(x))
-        return replace(self.like, dict(zip(self.names, values, strict=True)))
+        """The model at x (k,), its free parameters as NumPy scalars."""
+        return _with(self.like, self.names, list(self.physical(x)))
 
     def physical(self, x: np.ndarray) -> np.ndarray:
         """(k,) the free parameters at x, in their units."""
-        return np.asarray(_values(*self._base, jnp.asarray(x)))
+        out = np.where(self._log, np.exp(np.where(self._log, x, 0.0)), x)
+        if self._built:
+            out[self._index] = _values(self._bare, self._built, self.pressure, jnp.asarray(x[self._index]))
+        return out
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """(k, k) ∂(parameters)/∂x."""
-        return np.asarray(_jacobian(*self._base, jnp.asarray(x)))
+        out = np.diag(np.where(self._log, np.exp(np.where(self._log, x, 0.0)), 1.0))
+        if self._built:
+            out[np.ix_(self._index, self._index)] = _jacobian(
+                self._bare, self._built, self.pressure, jnp.asarray(x[self._index])
+            )
+        return out
 
     def slopes(self, x: np.ndarray) -> Model:
         """A model whose leaves are (k,): the derivatives of the model's parameters by x."""
         zero = jax.tree.map(lambda _: np.zeros(len(self)), self.like)
-        rows = dict(zip(self.names, self.jacobian(x), strict=True))
-        return eqx.tree_at(lambda m: [leaf(m, p) for p in rows], zero, list(rows.values()))
+        return _with(zero, self.names, list(self.jacobian(x)))
 
     def admissible(self, x: np.ndarray) -> bool:
         """Whether the model at x is one; always, but where a set of parameters is frozen in part."""
@@ -96,16 +107,24 @@ class Coordinates:
         return float(passivity_margin(model)) >= -1e-9 or set(GROUPS[2]) <= set(self.names)
 
 
-@eqx.filter_jit
-def _values(like: Model, names, built, log, pressure, x: jax.Array) -> jax.Array:
-    given = dict(zip(names, x, strict=True))
-    model = constrain({p: given[p] for p in built}, like, pressure)
-    return jnp.stack([get(model, p) if p in built else jnp.exp(given[p]) if p in log else given[p] for p in names])
+def _with(model: Model, names: Sequence[str], values: Sequence[np.ndarray]) -> Model:
+    return eqx.tree_at(lambda m: [leaf(m, p) for p in names], model, list(values)) if names else model
+
+
+def without_effects(model: Model) -> Model:
+    """The model without its effects."""
+    return dataclasses.replace(model, effects=())
 
 
 @eqx.filter_jit
-def _jacobian(like: Model, names, built, log, pressure, x: jax.Array) -> jax.Array:
-    return jax.jacfwd(lambda y: _values(like, names, built, log, pressure, y))(x)
+def _values(like: Model, built: tuple[str, ...], pressure: float, x: jax.Array) -> jax.Array:
+    model = constrain(dict(zip(built, x, strict=True)), like, pressure)
+    return jnp.stack([get(model, p) for p in built])
+
+
+@eqx.filter_jit
+def _jacobian(like: Model, built: tuple[str, ...], pressure: float, x: jax.Array) -> jax.Array:
+    return jax.jacfwd(lambda y: _values(like, built, pressure, y))(x)
 
 
 def _inside(model: Model) -> Model:

@@ -10,7 +10,7 @@ starting angle is a parameter of its own, eliminated.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
 import numpy as np
@@ -26,7 +26,8 @@ from ljjax.model import Model
 @dataclass(frozen=True)
 class Round:
     """One round: step of the solver [s], whether windows meet (free runs) and how closely [rad], how many windows are
-    used, and when it ends: when a step would lower χ² by no more than `done`, or that share of it."""
+    used, and when it ends: when a step would lower χ² by no more than `done`, or that share of it. `onward`: free runs
+    one window after the other, for many fits side by side."""
 
     step_s: float
     free: bool
@@ -34,6 +35,7 @@ class Round:
     windows: int
     done: float
     share: float
+    onward: bool = False
 
 
 ROUNDS = (
@@ -142,6 +144,7 @@ def estimate(
     history: list[tuple[int, int, float, float, np.ndarray]] = []
     search: Search | None = None
     for which, how in enumerate(rounds):
+        how = _for(problem, how)
         windows = cut(problem.motions, how.step_s).some(how.windows)
         search = Search(problem, windows, how, search)
         x = yield from search.run(x, max_iterations, history, which)
@@ -154,9 +157,15 @@ def predict(found: Estimate, motions: Sequence[Motion]) -> Asking[Estimate]:
     p = found.problem
     like = Coordinates(found.model, p.coordinates.names, p.coordinates.pressure)
     problem = Problem(like, motions)
-    search = Search(problem, cut(motions, ROUNDS[-1].step_s), ROUNDS[-1])
+    how = _for(problem, ROUNDS[-1])
+    search = Search(problem, cut(motions, how.step_s), how)
     yield from search.look(like.start)
     return search.result([])
+
+
+def _for(problem: Problem, how: Round) -> Round:
+    """What effects remember does not move along with a window's start: their free runs go window after window."""
+    return replace(how, onward=True) if how.free and problem.coordinates.like.effects else how
 
 
 class Search:
@@ -175,7 +184,7 @@ class Search:
         self.asked = 0
         self.coarse: np.ndarray | None = None
         self.step_error: np.ndarray | None = None
-        if how.free and before is not None and before.point is not None:
+        if how.free and not how.onward and before is not None and before.point is not None:
             self._go_on(before.windows, before.how, before.point)
 
     def _go_on(self, windows: Windows, how: Round, point: _Point) -> None:
@@ -183,6 +192,8 @@ class Search:
         answer = point.answer
         if how.free:
             self.start_offset = point.offset
+        if answer.used is None:
+            return
         if how.free and np.isclose(windows.h, 2 * self.windows.h):
             counts = np.bincount(self.windows.run), np.bincount(windows.run)
             index = np.concatenate([f + np.arange(c) for f, c in zip(_first(counts[1]) * 2, counts[0], strict=True)])
@@ -201,14 +212,15 @@ class Search:
         c = self.problem.coordinates
         model = jax.tree.map(np.asarray, c.model(x))
         self.asked += 1
-        return (yield Request(self.windows, model, c.slopes(x), offset[self.group], starts))
+        return (yield Request(self.windows, model, c.slopes(x), offset[self.group], starts, self.how.onward))
 
     def _evaluate(self, x: np.ndarray, offset: np.ndarray, starts: Starts | None) -> Asking[_Point]:
         """The model's predictions; in a free run repeated until its windows meet."""
         answer = yield from self._ask(x, offset, starts)
-        if self.how.free:
+        if self.how.free and not self.how.onward:
             for _ in range(int(np.bincount(self.windows.run).max()) + 2):
                 following = self._chained(answer)
+                assert answer.used is not None
                 if not _gap(following, answer.used) > self.how.meet_rad:
                     break
                 answer = yield from self._ask(x, offset, following)
@@ -227,6 +239,7 @@ class Search:
         def shift(end: np.ndarray, used: np.ndarray) -> np.ndarray:
             return np.where(self.windows.opens, used, np.roll(end, 1, axis=-1))
 
+        assert answer.used is not None and answer.passed is not None
         following: Starts = jax.tree.map(shift, answer.end, answer.used)
         new, old = (np.array([s.state.q, s.state.z]) for s in (following, answer.used))  # (2, n, W)
         total = new - old
@@ -343,11 +356,12 @@ class Search:
     def _limits(self, x: np.ndarray) -> list[tuple[np.ndarray, float, float]]:
         """Bounded parameters at x: their slope (k,), and how far they may fall and rise."""
         c = self.problem.coordinates
-        if not self.problem.bounds:
+        bounds = {**c.bounds, **self.problem.bounds}
+        if not bounds:
             return []
         value, slope = c.physical(x), c.jacobian(x)
-        index = {name: c.names.index(name) for name in self.problem.bounds if name in c.names}
-        return [(slope[i], *(limit - value[i] for limit in self.problem.bounds[name])) for name, i in index.items()]
+        index = {name: c.names.index(name) for name in bounds if name in c.names}
+        return [(slope[i], *(limit - value[i] for limit in bounds[name])) for name, i in index.items()]
 
     def _step(self, a: np.ndarray, g: np.ndarray, damping: float, limits: list) -> np.ndarray:
         """The damped step, least on the bounds it would cross; coordinates that would go further than `FAR` go that
@@ -392,7 +406,7 @@ class Search:
 
     def _moved(self, point: _Point, step: np.ndarray, shift: np.ndarray) -> Asking[_Point]:
         starts = None
-        if self.how.free:
+        if self.how.free and not self.how.onward:
             both = np.concatenate([np.repeat(step[:, None], len(self.windows), 1), shift[self.group][None]])
             starts = self._chained(point.answer).moved(both)
         moved = yield from self._evaluate(point.x + step, point.offset + shift, starts)

@@ -16,7 +16,7 @@ from ljjax.fit.points import UNIT
 from ljjax.fit.record import SCHEMA, about_run, plain
 from ljjax.fit.result import FitResult, Parameter
 from ljjax.logs import Run, Signal
-from ljjax.model import UNITS, Model, get
+from ljjax.model import Model, get, limits
 from ljjax.simulation import SENSITIVE_RAD
 
 LOOSE = 0.5
@@ -113,20 +113,23 @@ class DynamicResult(FitResult):
             return super()._parameter(name)
         i = self.names.index(name)
         value, sd = float(get(self.model, name)), float(np.sqrt(self.covariance[i, i]))
-        positive = value > 0 and name not in ("gravity.alpha1", "elastic.c1", "elastic.c2", "jamming.c5")
+        signed = ("gravity.alpha1", "elastic.c1", "elastic.c2", "jamming.c5")
+        positive = value > 0 and name not in signed and not name.startswith("effects.")
         share = sd / abs(value) if value else np.inf
         width = 1.96 * min(share, 10.0)
         ci = (value * np.exp(-width), value * np.exp(width)) if positive else (value - 1.96 * sd, value + 1.96 * sd)
-        bounds = self.estimate.problem.bounds.get(name)
+        bounds = self.estimate.problem.bounds.get(name) or limits(self.model).get(name)
         if bounds and min(value - bounds[0], bounds[1] - value) < 1e-3 * (bounds[1] - bounds[0]):
             near = min(bounds, key=lambda b: abs(b - value))
             reason = f"the data pull it past its bound {near:g}"
-            return Parameter(name, float(near), UNITS[name], None, None, None, "at bound", reason, "dynamic")
+            return Parameter(name, float(near), self._unit(name), None, None, None, "at bound", reason, "dynamic")
         if share > LOOSE or (not positive and ci[0] <= 0 <= ci[1]):
             verdict, reason = "not identifiable", f"{self._confounded(name)}; what would help: {HELPS.get(name, '')}"
         else:
             verdict, reason = "identifiable", f"known to {100 * share:.2g} % (1 sd) if the model's form holds"
-        return Parameter(name, value, UNITS[name], sd, (float(ci[0]), float(ci[1])), None, verdict, reason, "dynamic")
+        return Parameter(
+            name, value, self._unit(name), sd, (float(ci[0]), float(ci[1])), None, verdict, reason, "dynamic"
+        )
 
     @cached_property
     def run_errors(self) -> list[RunError]:

@@ -18,7 +18,7 @@ from ljjax.fit.paper import PUBLISHED_FOR
 from ljjax.fit.points import UNIT
 from ljjax.fit.static import Stage, StaticFit
 from ljjax.logs import Run, Signal, copy_overlay
-from ljjax.model import UNITS, Model, get
+from ljjax.model import Model, get, units
 from ljjax.modelfile import ModelFile
 from ljjax.outputs import artefacts
 
@@ -96,19 +96,24 @@ class FitResult:
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter of the model, by path."""
-        return {name: self._parameter(name) for name in UNITS}
+        return {name: self._parameter(name) for name in units(self.model)}
 
     @property
     def fitted(self) -> list[Parameter]:
         """Those the fit moved."""
         return [p for p in self.parameters.values() if p.source != "model"]
 
+    def _unit(self, name: str) -> str:
+        return units(self.model)[name]
+
     def _parameter(self, name: str) -> Parameter:
         """A parameter the fit did not move."""
         frozen = name in self.options["frozen"]
         reason = "held at the given model's value" if frozen else f"taken from {self.start_from}; not fitted here"
         value = float(get(self.model, name))
-        return Parameter(name, value, UNITS[name], None, None, None, "frozen" if frozen else "assumed", reason, "model")
+        return Parameter(
+            name, value, self._unit(name), None, None, None, "frozen" if frozen else "assumed", reason, "model"
+        )
 
     @property
     def correlation(self) -> tuple[tuple[str, ...], np.ndarray]:
@@ -206,7 +211,7 @@ class StaticResult(FitResult):
             return Parameter(
                 name,
                 value,
-                UNITS[name],
+                self._unit(name),
                 None,
                 None,
                 jackknife,
@@ -224,7 +229,7 @@ class StaticResult(FitResult):
                 "identifiable",
                 f"known to {100 * sd / abs(value):.2g} % (1 sd) if the model's form holds",
             )
-        return Parameter(name, value, UNITS[name], sd, ci, jackknife, verdict, reason, kind)
+        return Parameter(name, value, self._unit(name), sd, ci, jackknife, verdict, reason, kind)
 
     @property
     def correlation(self) -> tuple[tuple[str, ...], np.ndarray]:

@@ -20,7 +20,7 @@ from ljjax.fit.static import Constraints, Weights, fit_static
 from ljjax.fit.stochastic import descend
 from ljjax.fit.windows import Motion, Source, motion
 from ljjax.logs import Run
-from ljjax.model import UNITS, check, get, replace
+from ljjax.model import UNITS, check, get, replace, units
 from ljjax.modelfile import ModelFile
 
 Method = Literal["lm", "adam"]
@@ -123,7 +123,7 @@ def fit_many(
     Returns a result for each robot, or the error that kept it from one; a bad robot never loses the others.
     """
     for path in (*frozen, *profile):
-        if path not in UNITS:
+        if path not in UNITS and not path.startswith("effects."):
             raise InputError(f"{path}: no such parameter; expected one of {', '.join(UNITS)}")
     results: dict[str, FitResult | Exception] = {}
     cases: dict[str, _Case] = {}
@@ -133,7 +133,7 @@ def fit_many(
         start, said_from = (modelfile.load(OCTROBOT / "nominal.toml"), NOMINAL) if own is None else (own, model_from)
         held = tuple(dict.fromkeys((*start.frozen, *frozen)))
         try:
-            case = _case(start, said_from, runs, (held_out or {}).get(robot, ()), held, inputs)
+            case = prepared(start, said_from, runs, (held_out or {}).get(robot, ()), held, inputs)
             if isinstance(case, _Case):
                 cases[robot] = case
             else:
@@ -194,7 +194,7 @@ class _Case:
         self.tests: list[Motion] = tests
 
 
-def _case(
+def prepared(
     start: ModelFile, start_from: str, runs, held_out, frozen: tuple[str, ...], inputs: Source
 ) -> _Case | list[str]:
     """The dynamic problem of one robot's runs; where none of them moves, what was said of each."""
@@ -234,7 +234,10 @@ def _case(
         if levels < needed and name not in held:
             held.add(name)
             said.append(f"{name} held: it needs {needed} pressures, and these runs have {levels}")
-    free = [p for p in UNITS if p not in held and p != "friction.sigma0"]
+    known = units(start.model)
+    if strange := [p for p in frozen if p not in known]:
+        raise InputError(f"{strange[0]}: no such parameter; expected one of {', '.join(known)}")
+    free = [p for p in known if p not in held and p != "friction.sigma0"]
     if not free:
         raise InputError("every parameter is frozen; free one of them")
     for name in start.bounds:
@@ -252,7 +255,7 @@ def _case(
         except InputError as error:
             said.append(f"left out: {error}")
     problem = Problem(Coordinates(start.model, free, top), motions, points, start.priors, start.bounds)
-    return _Case(start, start_from, list(runs), said, tuple(sorted(held & set(UNITS))), problem, moving, tests)
+    return _Case(start, start_from, list(runs), said, tuple(sorted(held & set(known))), problem, moving, tests)
 
 
 def _levels(pressure: np.ndarray) -> int:

@@ -2,12 +2,14 @@
 
 Every window starts from a state of its own: from the data (multiple shooting), or from the end of the window before it
 (a free run, whose windows then agree where they meet). States and their derivatives by the parameters travel together.
+Where enough runs go side by side to fill a batch, free runs go on window after window and meet by themselves.
 Whatever asks for windows is a generator that yields a `Request` and is sent an `Answer`; `together` runs many of them
 in step, so that their windows fill one batch.
 """
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -20,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ljjax import batch, fast
-from ljjax.fit.windows import Windows
+from ljjax.fit.windows import STEPS, Windows
 from ljjax.model import Model
 from ljjax.step import Drive, How, Unrolled, in_balance
 
@@ -52,6 +54,7 @@ class Request:
         model: the robot; `slopes` (k leaves stacked) its derivatives by the coordinates.
         offset: (W,) added to the angle at which each window starts from the data [rad].
         starts: where windows start that do not start from the data; None if all do.
+        onward: free runs, each window from the end of the one before it; `starts` is then of no account.
     """
 
     windows: Windows
@@ -59,6 +62,7 @@ class Request:
     slopes: Model
     offset: np.ndarray
     starts: Starts | None = None
+    onward: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,14 +75,16 @@ class Answer:
         used, middle, end: where the windows started, where they were half-way, and where they ended.
         passed: (2, 2, n, W) how a change of a joint's start reaches its end, were it alike in all joints: [to q or z,
             from q or z].
+
+    The last four are kept only where windows were not run onward.
     """
 
     predicted: np.ndarray
     jacobian: np.ndarray
-    used: Starts
-    middle: Starts
-    end: Starts
-    passed: np.ndarray
+    used: Starts | None = None
+    middle: Starts | None = None
+    end: Starts | None = None
+    passed: np.ndarray | None = None
 
 
 Asking = Generator[Request, Answer, T]
@@ -115,59 +121,123 @@ def answer_all(requests: Sequence[Request]) -> list[Answer]:
     """Simulate the windows of all requests, those of one form in shared tiles."""
     groups: dict[Any, list[int]] = {}
     for i, r in enumerate(requests):
-        form = jax.tree.structure(r.model), jax.tree.leaves(r.slopes)[0].shape[0], r.windows.y.shape[1] > 1
+        form = jax.tree.structure(r.model), _padded(r), r.windows.y.shape[1] > 1, r.onward, r.windows.h
         groups.setdefault(form, []).append(i)
     answers: list[Any] = [None] * len(requests)
-    for (_, _, joints), members in groups.items():
-        for i, answer in zip(members, _answer([requests[i] for i in members], joints), strict=True):
+    for (_, width, joints, onward, _), members in groups.items():
+        asked = [requests[i] for i in members]
+        found = _onward(asked, width, joints) if onward else _answer(asked, width, joints)
+        for i, answer in zip(members, found, strict=True):
             answers[i] = answer
     return answers
 
 
-def _answer(requests: Sequence[Request], joints: bool) -> list[Answer]:
-    count = [len(r.windows) for r in requests]
+WIDER = 8
 
-    def each(pick: Callable[[Request], Any]) -> Any:
-        """A pytree per request, its last axis the request's windows → one pytree over all windows."""
-        return jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *(pick(r) for r in requests))
 
-    model = each(lambda r: jax.tree.map(lambda x: np.full(len(r.windows), x), r.model))
-    slopes = each(lambda r: jax.tree.map(lambda x: np.repeat(np.asarray(x)[:, None], len(r.windows), 1), r.slopes))
-    drive = each(lambda r: _drive(r.windows))
-    h = each(lambda r: np.full(len(r.windows), r.windows.h))
-    q = each(lambda r: tuple(r.windows.q.T + r.offset))
-    v = each(lambda r: tuple(r.windows.v.T))
-    state, slope = _tiled(_balance, (model, slopes, q, v, jax.tree.map(lambda x: x[0], drive)))
-    used = Starts(state, slope)
+def _padded(request: Request) -> int:
+    """How many derivatives the kernel takes: with effects in steps, so that candidates share one compilation."""
+    k = jax.tree.leaves(request.slopes)[0].shape[0]
+    return WIDER * math.ceil((k - 4) / WIDER) + 4 if request.model.effects else k
+
+
+class _Batch:
+    """The windows of several requests on one axis: robots, drives and first shapes."""
+
+    def __init__(self, requests: Sequence[Request], width: int):
+        self.requests, self.count = requests, [len(r.windows) for r in requests]
+        self.of = np.repeat(np.arange(len(requests)), self.count)
+        self.model = jax.tree.map(lambda *x: np.array(x, float), *(r.model for r in requests))
+        self.slopes = jax.tree.map(
+            lambda *x: np.stack([np.pad(np.asarray(y), (0, width - len(y))) for y in x], axis=1),
+            *(r.slopes for r in requests),
+        )
+        self.drive = jax.tree.map(
+            lambda *x: np.concatenate(x, axis=-1), *(_drive(r.windows, r.model) for r in requests)
+        )
+        self.h = np.concatenate([np.full(len(r.windows), r.windows.h) for r in requests])
+        self.q = tuple(np.concatenate([r.windows.q.T + r.offset for r in requests], axis=-1))
+        self.v = tuple(np.concatenate([r.windows.v.T for r in requests], axis=-1))
+
+    def robots(self, windows: Any) -> tuple[Model, Model]:
+        """Model and slopes of these windows (an index)."""
+        mine = self.of[windows]
+        return jax.tree.map(lambda x: x[..., mine], (self.model, self.slopes))
+
+    def balance(self, windows: Any) -> Starts:
+        """Where these windows start from the data."""
+        take = lambda x: x[..., windows]  # noqa: E731
+        q, v, first = jax.tree.map(take, (self.q, self.v, jax.tree.map(lambda x: x[0], self.drive)))
+        return Starts(*_tiled(_balance, (*self.robots(windows), q, v, first)))
+
+    def shoot(self, windows: Any, starts: Starts, joints: bool) -> Any:
+        """`_shoot` of these windows from `starts`."""
+        take = lambda x: x[..., windows]  # noqa: E731
+        drive, h = jax.tree.map(take, (self.drive, self.h))
+        return _tiled(partial(_shoot, joints), (*self.robots(windows), starts.state, starts.slope, drive, h))
+
+
+def _answer(requests: Sequence[Request], width: int, joints: bool) -> list[Answer]:
+    batch = _Batch(requests, width)
+    everything = slice(None)
+    used = batch.balance(everything)
+    parts = np.cumsum([0, *batch.count])
     if any(r.starts is not None for r in requests):
-        parts = np.cumsum([0, *count])
         given = []
         for r, a, b in zip(requests, parts[:-1], parts[1:], strict=True):
             opening = jax.tree.map(lambda x, a=a, b=b: x[..., a:b], used)
             given.append(opening if r.starts is None else _where(r.windows.opens, opening, r.starts))
         used = jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *given)
-    (middle, end), (middle_slope, end_slope), path, path_slope, passed = _tiled(
-        partial(_shoot, joints), (model, slopes, used.state, used.slope, drive, h)
-    )
-    answers, a = [], 0
-    for r, w in zip(requests, count, strict=True):
-        part = slice(a, a + w)
+    (middle, end), (middle_slope, end_slope), path, path_slope, passed = batch.shoot(everything, used, joints)
+    answers = []
+    for r, a, b in zip(requests, parts[:-1], parts[1:], strict=True):
 
-        def own(tree: Any, part: slice = part) -> Any:
+        def own(tree: Any, part: slice = slice(a, b)) -> Any:
             return jax.tree.map(lambda x: x[..., part], tree)
 
-        predicted, jacobian = _at_samples(r.windows, own(path), own(path_slope))
+        samples = _Samples(r)
+        samples.read(np.arange(b - a), own(path), own(path_slope))
         half, last = Starts(own(middle), own(middle_slope)), Starts(own(end), own(end_slope))
-        answers.append(Answer(predicted, jacobian, own(used), half, last, own(passed)))
-        a += w
+        answers.append(Answer(samples.predicted, samples.jacobian, own(used), half, last, own(passed)))
     return answers
+
+
+def _onward(requests: Sequence[Request], width: int, joints: bool) -> list[Answer]:
+    """Free runs: the first windows of all runs, then their second ones, and so on."""
+    batch = _Batch(requests, width)
+    opens = np.concatenate([r.windows.opens for r in requests])
+    index = np.arange(len(opens))
+    place = index - np.maximum.accumulate(np.where(opens, index, 0))
+    first = np.cumsum([0, *batch.count])
+    samples = [_Samples(r) for r in requests]
+    before, state = np.flatnonzero(place == 0), None
+    for k in range(int(place.max()) + 1):
+        now = np.flatnonzero(place == k)
+        if state is None:
+            state = batch.balance(now)
+        else:
+            kept = np.isin(before, now - 1)
+            state = jax.tree.map(lambda x, kept=kept: x[..., kept], state)
+        (_, end), (_, slope), path, path_slope, _ = batch.shoot(now, state, joints)
+        for i in np.unique(batch.of[now]):
+            mine = np.flatnonzero(batch.of[now] == i)
+            take = lambda x, mine=mine: x[..., mine]  # noqa: E731
+            samples[i].read(now[mine] - first[i], jax.tree.map(take, path), jax.tree.map(take, path_slope))
+        before, state = now, Starts(end, slope)
+    return [Answer(s.predicted, s.jacobian) for s in samples]
 
 
 jax.tree_util.register_dataclass(Starts, ["state", "slope"], [])
 
 
-def _drive(windows: Windows) -> Drive:
-    arrays: Any = (windows.left.T, windows.right.T, windows.vacuum.T, None, None, windows.t.T)
+def _drive(windows: Windows, model: Model) -> Drive:
+    late, left, right = None, windows.left, windows.right
+    delays = [float(d) for e in model.effects if (d := e.delay_s()) is not None]
+    if delays:
+        left, right, slopes = windows.delayed(sum(delays))
+        late = slopes[0].T, slopes[1].T
+    warm, worn = (windows.warm.T, windows.worn.T) if model.effects else (None, None)
+    arrays: Any = (left.T, right.T, windows.vacuum.T, None, warm, windows.t.T, worn, late)
     return Drive(*arrays)
 
 
@@ -213,7 +283,12 @@ def _balance(model, slopes, q, v, drive):
     """Starting states from the data, (W,), and their derivatives (k + 1, W)."""
 
     def f(model, q):
-        return jax.vmap(in_balance)(model, q, v, drive)
+        def one(m, q, v, d):
+            for effect in reversed(m.effects):
+                q = effect.unsense(q)
+            return in_balance(m, q, v, d)
+
+        return jax.vmap(one)(model, q, v, drive)
 
     k = jax.tree.leaves(slopes)[0].shape[0]
     along = jnp.zeros((k + 1, q[0].shape[0])).at[k].set(1.0)
@@ -254,23 +329,65 @@ def _shoot(joints: bool, model, slopes, state, slope, drive, h):
     return ends, end_slopes, path, path_slopes, passed
 
 
-def _at_samples(windows: Windows, path: Any, slopes: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Predictions (N, c) and derivatives (N, c, k + 1) at the samples, from paths (K + 1, W) by cubic Hermite."""
-    (q, v, seen), (dq, dv, dseen) = path, slopes
-    w, h = windows.weight, windows.h
-    at = windows.step * len(windows) + windows.window
-    after = at + len(windows)
-    cubic = (1 - w * w * (3 - 2 * w), w * w * (3 - 2 * w), h * w * (1 - w) ** 2, h * w * w * (w - 1))
+class _Samples:
+    """Predictions (N, c) and derivatives (N, c, k + 1) at the samples of a request, read off window by window.
 
-    def read(x: np.ndarray, rate: np.ndarray, more: np.ndarray | None) -> np.ndarray:
-        x, rate = x.reshape(*x.shape[:-2], -1), rate.reshape(*rate.shape[:-2], -1)
-        out = cubic[0] * x[..., at] + cubic[1] * x[..., after] + cubic[2] * rate[..., at] + cubic[3] * rate[..., after]
-        if more is not None:
-            more = more.reshape(*more.shape[:-2], -1)
-            out = out + (1 - w) * more[..., at] + w * more[..., after]
-        return out
+    Where the shape is stamped late a sample shows the path that much earlier, in the window before it if need be.
+    """
 
-    none = [None] * len(q)
-    predicted = [read(*x) for x in zip(q, v, seen or none, strict=True)]
-    jacobian = [read(*x) for x in zip(dq, dv, dseen or none, strict=True)]
-    return np.stack(predicted, axis=1), np.stack([j.T for j in jacobian], axis=1)
+    def __init__(self, request: Request):
+        w = self.windows = request.windows
+        self.k = jax.tree.leaves(request.slopes)[0].shape[0]
+        self.predicted = np.full(w.y.shape, np.nan)
+        self.jacobian = np.full((*w.y.shape, self.k + 1), np.nan, np.float32 if request.onward else float)
+        late = [(float(d), s.latency_s()) for e, s in _effects(request) if (d := e.latency_s()) is not None]
+        self.window, self.step, self.weight, self.slope = w.window, w.step, w.weight, None
+        if late:
+            self.slope = np.asarray(sum(slope for _, slope in late))
+            place = w.window * STEPS + w.step + w.weight
+            opening = (
+                np.maximum.accumulate(np.where(w.opens, np.arange(len(w)), 0)) if request.onward else np.arange(len(w))
+            )
+            place = np.maximum(place - sum(d for d, _ in late) / w.h, opening[w.window] * STEPS)
+            self.window = np.minimum(place // STEPS, w.window).astype(int)
+            self.step = np.minimum(np.floor(place - self.window * STEPS), STEPS - 1).astype(int)
+            self.weight = place - self.window * STEPS - self.step
+
+    def read(self, windows: np.ndarray, path: Any, slopes: Any) -> None:
+        """Take what lies in these windows (an ascending index) from their paths (K + 1, W)."""
+        (q, v, seen), (dq, dv, dseen) = path, slopes
+        mine = np.flatnonzero(np.isin(self.window, windows))
+        h, w = self.windows.h, self.weight[mine]
+        at = self.step[mine] * len(windows) + np.searchsorted(windows, self.window[mine])
+        after = at + len(windows)
+        cubic = (1 - w * w * (3 - 2 * w), w * w * (3 - 2 * w), h * w * (1 - w) ** 2, h * w * w * (w - 1))
+
+        def taken(x: np.ndarray, rate: np.ndarray, more: np.ndarray | None) -> np.ndarray:
+            x, rate = x.reshape(*x.shape[:-2], -1), rate.reshape(*rate.shape[:-2], -1)
+            out = (
+                cubic[0] * x[..., at]
+                + cubic[1] * x[..., after]
+                + cubic[2] * rate[..., at]
+                + cubic[3] * rate[..., after]
+            )
+            if more is not None:
+                more = more.reshape(*more.shape[:-2], -1)
+                out = out + (1 - w) * more[..., at] + w * more[..., after]
+            return out
+
+        none = [None] * len(q)
+        width = self.k
+        for c, (x, rate, more) in enumerate(zip(q, v, seen or none, strict=True)):
+            self.predicted[mine, c] = taken(x, rate, more)
+        for c, (x, rate, more) in enumerate(zip(dq, dv, dseen or none, strict=True)):
+            keep = [*range(width), -1]
+            self.jacobian[mine, c] = taken(x[keep], rate[keep], None if more is None else more[keep]).T
+        if self.slope is not None:
+            for c, rate in enumerate(v):
+                rate = rate.reshape(-1)
+                going = (1 - w) * rate[at] + w * rate[after]
+                self.jacobian[mine, c, :width] -= np.outer(going, self.slope)
+
+
+def _effects(request: Request) -> Any:
+    return zip(request.model.effects, request.slopes.effects, strict=True)

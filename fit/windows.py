@@ -32,6 +32,8 @@ class Motion:
         q0, v0: (n,) shape [rad] and rates [rad/s] at the start, at rest unless the run begins in motion; `q0_sd`
             the standard deviation of the shape [rad].
         input_t, tendons, vacuum, hold: the inputs, as in `ljjax.inputs.Inputs`.
+        warm, worn: (T,) rise of the temperature [K] and slip of the mean joint [rad] at the stamps `t` since the
+            robot's first run began; effects ask for them.
     """
 
     run: Run
@@ -46,6 +48,8 @@ class Motion:
     tendons: np.ndarray
     vacuum: np.ndarray
     hold: bool
+    warm: np.ndarray
+    worn: np.ndarray
 
 
 def motion(run: Run, n: int, source: Source = "commands") -> Motion:
@@ -74,7 +78,9 @@ def motion(run: Run, n: int, source: Source = "commands") -> Motion:
     if (moving := _begins_moving(t, y, noise)) is not None:
         q0, v0, spread = np.broadcast_to(moving[0], (n,)), np.broadcast_to(moving[1], (n,)), 2 * spread
     hold = bool(inputs.hold)
-    return Motion(run, source, t, y, noise, q0, v0, max(spread, 1e-6), np.asarray(inputs.t), tendons, vacuum, hold)
+    zero = np.zeros(len(t))
+    given = np.asarray(inputs.t), tendons, vacuum, hold
+    return Motion(run, source, t, y, noise, q0, v0, max(spread, 1e-6), *given, zero, zero)
 
 
 def _begins_moving(t: np.ndarray, y: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -110,6 +116,8 @@ class Windows:
     Attributes:
         run: (W,) index of each window's run; `opens` (W,) whether it is its run's first.
         left, right, vacuum: (W, STEPS) mean tensions [N] and vacuum [kPa]; `t` (W, STEPS) starts of the steps [s].
+        warm, worn: (W, STEPS) rise of the temperature [K], slip [rad] when the window begins.
+        motions: (R,) the runs.
         h: length of a step [s].
         q, v: (W, n) shape [rad] and rates [rad/s] at each start, from the data; `q_sd` (W,) of the mean angle [rad].
         window, step, weight: (N,) where each sample lies: window, step in it, fraction of the step.
@@ -132,6 +140,9 @@ class Windows:
     y: np.ndarray
     sample_run: np.ndarray
     sample_t: np.ndarray
+    warm: np.ndarray
+    worn: np.ndarray
+    motions: Sequence[Motion]
 
     def __len__(self) -> int:
         return len(self.run)
@@ -145,17 +156,43 @@ class Windows:
     def only(self, keep: np.ndarray) -> Windows:
         """The windows of these indices, in ascending order, and the samples in them."""
         mine = np.isin(self.window, keep)
-        of_window = {
-            name: getattr(self, name)[keep] for name in ("run", "left", "right", "vacuum", "t", "q", "v", "q_sd")
-        }
+        names = ("run", "left", "right", "vacuum", "t", "q", "v", "q_sd", "warm", "worn")
+        of_window = {name: getattr(self, name)[keep] for name in names}
         of_sample = {name: getattr(self, name)[mine] for name in ("step", "weight", "y", "sample_run", "sample_t")}
         window = np.searchsorted(keep, self.window[mine])
-        return Windows(opens=self.opens[keep], h=self.h, window=window, **of_window, **of_sample)
+        return Windows(opens=self.opens[keep], h=self.h, window=window, motions=self.motions, **of_window, **of_sample)
+
+    def delayed(self, delay_s: float) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """(W, STEPS) mean tensions left and right [N], commanded so much earlier, and their slopes over the delay."""
+        left, right = self.left.copy(), self.right.copy()
+        slopes = np.zeros_like(left), np.zeros_like(right)
+        for run in np.unique(self.run):
+            m, mine = self.motions[run], self.run == run
+            begins = self.t[mine] - delay_s
+            edges = np.concatenate([begins, begins[:, -1:] + self.h], axis=1)
+            for side, (mean, slope) in enumerate(zip((left, right), slopes, strict=True)):
+                total, value = _integral(m, m.tendons[:, side], edges)
+                if delay_s:
+                    mean[mine] = np.diff(total, axis=1) / self.h
+                slope[mine] = -np.diff(value, axis=1) / self.h
+        return left, right, slopes
+
+
+def _integral(m: Motion, x: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """∫x dt from the first stamp, and x, at any times; x (T,) goes with the stamps of a run's inputs."""
+    index = np.clip(np.searchsorted(m.input_t, at, side="right") - 1, 0, len(x) - 1)
+    after = at - m.input_t[index]
+    middle = x[:-1] if m.hold else 0.5 * (x[:-1] + x[1:])
+    total = np.concatenate([[0.0], np.cumsum(middle * np.diff(m.input_t))])
+    if m.hold:
+        return total[index] + x[index] * after, x[index]
+    value = np.interp(at, m.input_t, x)
+    return total[index] + 0.5 * (x[index] + value) * after, value
 
 
 def cut(motions: Sequence[Motion], h: float) -> Windows:
     """Cut runs into windows of `STEPS` steps of h [s]; the last of a run may reach beyond its data."""
-    rows: dict[str, list] = {name: [] for name in Windows.__dataclass_fields__ if name != "h"}
+    rows: dict[str, list] = {name: [] for name in Windows.__dataclass_fields__ if name not in ("h", "motions")}
     first = 0
     for index, m in enumerate(motions):
         start = min(float(m.input_t[0]), float(m.t[0]))
@@ -183,11 +220,13 @@ def cut(motions: Sequence[Motion], h: float) -> Windows:
             ("y", m.y),
             ("sample_run", np.full(len(m.t), index)),
             ("sample_t", m.t),
+            ("warm", np.interp(edges[:-1], m.t, m.warm).reshape(count, STEPS)),
+            ("worn", np.repeat(np.interp(begins, m.t, m.worn)[:, None], STEPS, axis=1)),
         ):
             rows[name].append(value)
         first += count
     joined = {name: np.concatenate(parts) for name, parts in rows.items()}
-    return Windows(**joined, h=h)
+    return Windows(**joined, h=h, motions=motions)
 
 
 def _starts(m: Motion, begins: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

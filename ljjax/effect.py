@@ -28,7 +28,7 @@ Memory = tuple[Any, ...]
 class Now(NamedTuple):
     """What a hook may look at: the model, the step's start and length [s], the state at its start, the shape predicted
     for its middle [rad], the tensions (u₁, u₂) [N] and the vacuum [kPa] as known so far in the step, and the
-    temperature's rise since the first run began [K]."""
+    temperature's rise [K] and the slip of earlier runs [rad] since the first run began."""
 
     model: Any
     t: Array
@@ -37,33 +37,60 @@ class Now(NamedTuple):
     v: Vector
     z: Vector
     middle: Vector
-    u: tuple[Array, Array]
+    u: Vector
     vacuum: Array
     warm: Array
+    worn: Array
 
 
 def parameter(unit: str, null: float, low: float, high: float, scale: float) -> Any:
-    """A parameter of an effect: its unit, the value at which it vanishes, its bounds, and a typical size."""
+    """How large an effect is: the parameter's unit, the value at which the effect vanishes, bounds, a typical size."""
+    return _field({"unit": unit, "null": null, "low": low, "high": high, "scale": scale, "pilots": (), "of": ""})
+
+
+def shape(unit: str, default: float, low: float, high: float, pilots: tuple[float, ...], of: str = "") -> Any:
+    """What form an effect has, of no account while it vanishes.
+
+    Args:
+        unit, default, low, high: as of any parameter.
+        pilots: values from which a search begins, each on its own.
+        of: what of the data the pilots are shares of: `"tension"` [N], `"angle"` of a joint [rad] (the largest there
+            are), or nothing.
+    """
+    scale = 0.3 * (abs(default) or 1.0)
+    return _field({"unit": unit, "null": default, "low": low, "high": high, "scale": scale, "pilots": pilots, "of": of})
+
+
+def _field(metadata: dict[str, Any]) -> Any:
     return eqx.field(
         converter=lambda x: x if isinstance(x, jax.Array) else jnp.asarray(np.asarray(x), dtype=float),
-        metadata={"unit": unit, "null": null, "low": low, "high": high, "scale": scale},
-        default=null,
+        metadata=metadata,
+        default=metadata["null"],
     )
 
 
 class Effect(eqx.Module):
     """Base class of the effects; see the module's text for the order of the hooks.
 
-    Class attributes: `id` and `block` (actuation, jamming, structure, friction or sensing).
+    Class attributes: `id`, `block` (actuation, jamming, structure, friction or sensing), and `axes`, along which of
+    pressure, angle, rate, direction, load, time, run, segment or everywhere its traces lie, the plainest first.
     """
 
     id: ClassVar[str] = ""
     block: ClassVar[str] = ""
+    axes: ClassVar[tuple[str, ...]] = ("everywhere",)
+    file: ClassVar[str] = ""
+    """Where the class was loaded from, if it is not one of the package's."""
 
     @classmethod
     def fields(cls) -> dict[str, Any]:
-        """The parameters' metadata by name: unit, null, low, high, scale."""
+        """The parameters' metadata by name: unit, null, low, high, scale, pilots, of."""
         return {name: f.metadata for name, f in cls.__dataclass_fields__.items() if "null" in f.metadata}
+
+    @classmethod
+    def sizes(cls) -> tuple[str, ...]:
+        """The names of those that say how large the effect is; the others say what form it has."""
+        return tuple(name for name, about in cls.fields().items() if not about["pilots"])
 
     def start(self, now: Now) -> Memory:
         """The memory at rest under the first inputs."""
@@ -77,7 +104,7 @@ class Effect(eqx.Module):
         """How much later the shape is stamped than it was seen [s], or None."""
         return None
 
-    def actuate(self, memory: Memory, u: tuple[Array, Array], now: Now) -> tuple[tuple[Array, Array], Memory]:
+    def actuate(self, memory: Memory, u: Vector, now: Now) -> tuple[Vector, Memory]:
         """The mean tensions at the body over the step, from those commanded [N]."""
         return u, memory
 
@@ -115,6 +142,10 @@ class Effect(eqx.Module):
     def sense(self, memory: Memory, y: Vector, now: Now) -> tuple[Vector, Memory]:
         """The joint angles that are logged [rad], from those that are, at the end of a step (`now` its beginning)."""
         return y, memory
+
+    def unsense(self, y: Vector) -> Vector:
+        """The joint angles that are [rad], from those that are logged at rest; where a run starts from its log."""
+        return y
 
 
 def overrides(effects: tuple[Effect, ...], hook: str) -> bool:

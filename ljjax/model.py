@@ -109,26 +109,48 @@ UNITS: Mapping[str, str] = {
     for name, f in kind.__dataclass_fields__.items()
     if "unit" in f.metadata
 }
-"""The unit of every parameter, by path; its keys are all the parameters there are."""
+"""The unit of every parameter of the base model, by path."""
+
+
+def units(model: Model) -> dict[str, str]:
+    """The unit of every parameter of a model by path, those of its effects (`effects.<id>.<name>`) included; its keys
+    are all the parameters there are."""
+    of_effects = {
+        f"effects.{effect.id}.{name}": about["unit"]
+        for effect in model.effects
+        for name, about in effect.fields().items()
+    }
+    return {**UNITS, **of_effects}
+
+
+def limits(model: Model) -> dict[str, tuple[float, float]]:
+    """Lowest and highest value of the parameters of a model's effects, by path."""
+    return {
+        f"effects.{effect.id}.{name}": (about["low"], about["high"])
+        for effect in model.effects
+        for name, about in effect.fields().items()
+    }
 
 
 def get(model: Model, path: str) -> jax.Array:
     """The parameter at `path`: a scalar, or an array over the elements of a batched model. Raises InputError for a name
     that is none."""
-    _known(path)
+    _known(model, path)
     return leaf(model, path)
 
 
 def leaf(model: Model, path: str) -> Any:
     """What stands at a parameter's path, whatever it is (for `equinox.tree_at`)."""
-    table, name = path.split(".")
+    table, *between, name = path.split(".")
+    if between:
+        return next(getattr(effect, name) for effect in model.effects if effect.id == between[0])
     return getattr(getattr(model, table), name)
 
 
 def replace(model: Model, values: Mapping[str, Any]) -> Model:
     """The model with the parameters named in `values` (path → value) replaced. Raises InputError for unknown paths."""
     for path in values:
-        _known(path)
+        _known(model, path)
     if not values:
         return model
     paths = list(values)
@@ -149,9 +171,9 @@ def astype(model: Model, dtype: Any) -> Model:
     return jax.tree.map(lambda leaf: leaf.astype(dtype), model)
 
 
-def _known(path: str) -> None:
-    if path not in UNITS:
-        raise InputError(f"no parameter {path!r}; the parameters are {', '.join(UNITS)}")
+def _known(model: Model, path: str) -> None:
+    if path not in UNITS and path not in units(model):
+        raise InputError(f"no parameter {path!r}; the parameters are {', '.join(units(model))}")
 
 
 def check(model: Model, pressures_kpa: Iterable[float] = (0.0,), where: str = "model") -> None:
@@ -164,7 +186,7 @@ def check(model: Model, pressures_kpa: Iterable[float] = (0.0,), where: str = "m
     """
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(model)):
         return
-    value = {path: float(get(model, path)) for path in UNITS}
+    value = {path: float(get(model, path)) for path in units(model)}
 
     def refuse(path: str, reason: str) -> None:
         raise InputError(f"{where}: {path} = {value[path]:g}: {reason}")
@@ -186,6 +208,9 @@ def check(model: Model, pressures_kpa: Iterable[float] = (0.0,), where: str = "m
     if value["friction.mu_s"] < value["friction.mu_c"]:
         refuse("friction.mu_s", f"must be ≥ friction.mu_c = {value['friction.mu_c']:g}")
 
+    for path, (least, most) in limits(model).items():
+        if not least <= value[path] <= most:
+            refuse(path, f"must lie between {least:g} and {most:g}")
     low, high = _range(pressures_kpa)
     c1, c2, c3 = (value[f"elastic.c{i}"] for i in (1, 2, 3))
     corners = [low, high] + ([-c2 / (2 * c1)] if c1 > 0 and low < -c2 / (2 * c1) < high else [])

@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from ljjax.effect import Effect
 from ljjax.errors import InputError
-from ljjax.model import TABLES, UNITS, Model, check, get, in_gauge
+from ljjax.model import TABLES, UNITS, Model, check, get, in_gauge, units
 
 SCHEMA = "ljjax.model/1"
 LAWS = {"elastic": "polynomial", "jamming": "sqrt"}
@@ -53,9 +54,6 @@ def load(path: str | os.PathLike[str]) -> ModelFile:
     if data.get("schema") != SCHEMA:
         raise InputError(f'{where}: schema is {data.get("schema")!r}; expected schema = "{SCHEMA}"')
     _only(where, "", data, {"schema", *TABLES, "effects", "uncertainty", "fit"})
-    if data.get("effects", []) != []:
-        raise InputError(f"{where}: [[effects]]: this version of ljjax has no effects yet; remove the table")
-
     parts: dict[str, Any] = {}
     for table, kind in TABLES.items():
         if table not in data:
@@ -84,58 +82,90 @@ def load(path: str | os.PathLike[str]) -> ModelFile:
                     "and c5 by sigma0, divide sigma1, sigma2, mu_c and mu_s by it"
                 )
         parts[table] = kind(**values)
-    model = Model(**parts)
+    model = Model(**parts, effects=_effects(where, data.get("effects", []), Path(path).parent))
     check(model, where=where)
+    known = units(model)
 
     uncertainty = {}
-    for table, entries in _table(where, "uncertainty", data.get("uncertainty", {})).items():
-        for name, value in _table(where, f"uncertainty.{table}", entries).items():
-            key = f"{table}.{name}"
-            if key not in UNITS:
-                raise InputError(f"{where}: uncertainty.{key}: unknown key; expected one of {', '.join(UNITS)}")
-            sd = _number(where, f"uncertainty.{key}", value)
-            if sd < 0:
-                raise InputError(f"{where}: uncertainty.{key} = {sd:g}: a standard deviation must be ≥ 0")
-            uncertainty[key] = sd
+    for key, value in _flat(where, _table(where, "uncertainty", data.get("uncertainty", {}))).items():
+        if key not in known:
+            raise InputError(f"{where}: uncertainty.{key}: unknown key; expected one of {', '.join(known)}")
+        sd = _number(where, f"uncertainty.{key}", value)
+        if sd < 0:
+            raise InputError(f"{where}: uncertainty.{key} = {sd:g}: a standard deviation must be ≥ 0")
+        uncertainty[key] = sd
     entries = _table(where, "fit", data.get("fit", {}))
     _only(where, "fit", entries, {"frozen", "free", "bounds", "priors"})
-    bounds = _pairs(where, "bounds", entries, "low", "high")
+    bounds = _pairs(where, "bounds", entries, known, "low", "high")
     for path, (low, high) in bounds.items():
         if not low < high:
             raise InputError(f"{where}: fit.bounds.{path} is [{low:g}, {high:g}]; expected the lower first")
-    priors = _pairs(where, "priors", entries, "mean", "sd")
+    priors = _pairs(where, "priors", entries, known, "mean", "sd")
     for path, (_, sd) in priors.items():
         if not sd > 0:
             raise InputError(f"{where}: fit.priors.{path}: sd is {sd:g}; expected a standard deviation > 0")
-    frozen, free = _paths(where, "frozen", entries), _paths(where, "free", entries)
+    frozen, free = _paths(where, "frozen", entries, known), _paths(where, "free", entries, known)
     if both := set(frozen) & set(free):
         raise InputError(f"{where}: fit.free and fit.frozen both hold {', '.join(sorted(both))}; keep one")
     return ModelFile(model, uncertainty, frozen, bounds, priors, free)
 
 
-def _pairs(where: str, name: str, entries: dict[str, Any], first: str, second: str) -> dict[str, tuple[float, float]]:
+def _effects(where: str, given: Any, folder: Path) -> tuple[Effect, ...]:
+    """The effects of [[effects]]: `id`, their parameters (those left out are at the values at which they vanish, or
+    start), and for a user's own `file`, the Python file that defines it, beside the model's."""
+    from ljjax import effects
+
+    if not isinstance(given, list):
+        raise InputError(f"{where}: effects is {given!r}; expected tables [[effects]], each with an id")
+    found: list[Effect] = []
+    for i, table in enumerate(given):
+        place = f"effects[{i}]"
+        entries = dict(_table(where, place, table))
+        name, file = entries.pop("id", None), entries.pop("file", None)
+        if file is not None:
+            effects.load(folder / str(file))
+        if name not in effects.REGISTRY:
+            raise InputError(f"{where}: {place}.id is {name!r}; expected one of {', '.join(effects.REGISTRY)}")
+        if any(e.id == name for e in found):
+            raise InputError(f"{where}: {place}.id: {name} is there twice; keep one")
+        kind = effects.REGISTRY[name]
+        _only(where, place, entries, {*kind.fields(), "id", "file"})
+        found.append(kind(**{key: _number(where, f"{place}.{key}", value) for key, value in entries.items()}))
+    order = list(effects.REGISTRY)
+    return tuple(sorted(found, key=lambda e: order.index(e.id)))
+
+
+def _flat(where: str, tables: dict[str, Any], above: str = "") -> dict[str, Any]:
+    """Values by path, of tables in tables."""
+    out: dict[str, Any] = {}
+    for name, value in tables.items():
+        path = f"{above}{name}"
+        out |= _flat(where, value, path + ".") if isinstance(value, dict) else {path: value}
+    return out
+
+
+def _pairs(
+    where: str, name: str, entries: dict[str, Any], known: Mapping[str, str], first: str, second: str
+) -> dict[str, tuple[float, float]]:
     """A table of path = [first, second]."""
     out = {}
-    given: dict[str, Any] = {}
-    for path, value in _table(where, f"fit.{name}", entries.get(name, {})).items():
-        given |= {f"{path}.{k}": v for k, v in value.items()} if isinstance(value, dict) else {path: value}
-    for path, pair in given.items():
+    for path, pair in _flat(where, _table(where, f"fit.{name}", entries.get(name, {}))).items():
         key = f"fit.{name}.{path}"
-        if path not in UNITS:
-            raise InputError(f"{where}: {key}: no such parameter; expected one of {', '.join(UNITS)}")
+        if path not in known:
+            raise InputError(f"{where}: {key}: no such parameter; expected one of {', '.join(known)}")
         if not isinstance(pair, list) or len(pair) != 2:
-            raise InputError(f"{where}: {key} is {pair!r}; expected [{first}, {second}] in {UNITS[path]}")
+            raise InputError(f"{where}: {key} is {pair!r}; expected [{first}, {second}] in {known[path]}")
         out[path] = (_number(where, key, pair[0]), _number(where, key, pair[1]))
     return out
 
 
-def _paths(where: str, name: str, entries: dict[str, Any]) -> tuple[str, ...]:
+def _paths(where: str, name: str, entries: dict[str, Any], known: Mapping[str, str]) -> tuple[str, ...]:
     given = entries.get(name, [])
     if not isinstance(given, list):
         raise InputError(f'{where}: fit.{name} is {given!r}; expected a list such as ["gravity.alpha1"]')
     for path in given:
-        if not isinstance(path, str) or path not in UNITS:
-            raise InputError(f"{where}: fit.{name}: {path!r} is no parameter; expected one of {', '.join(UNITS)}")
+        if not isinstance(path, str) or path not in known:
+            raise InputError(f"{where}: fit.{name}: {path!r} is no parameter; expected one of {', '.join(known)}")
     return tuple(given)
 
 
@@ -184,8 +214,12 @@ def dumps(file: ModelFile, comment: str = "") -> str:
             if path.startswith(table + "."):
                 value = float(get(file.model, path))
                 lines.append(f"{path.split('.')[1]} = {value!r}".ljust(40) + f"  # {unit}")
-    for table in TABLES:
-        own = {p.split(".")[1]: sd for p, sd in file.uncertainty.items() if p.startswith(table + ".")}
+    for effect in file.model.effects:
+        lines += ["", "[[effects]]", f'id = "{effect.id}"', *([f'file = "{effect.file}"'] if effect.file else [])]
+        for name, about in effect.fields().items():
+            lines.append(f"{name} = {float(getattr(effect, name))!r}".ljust(40) + f"  # {about['unit']}")
+    for table in (*TABLES, *(f"effects.{effect.id}" for effect in file.model.effects)):
+        own = {p.removeprefix(table + "."): sd for p, sd in file.uncertainty.items() if p.startswith(table + ".")}
         if own:
             lines += ["", f"[uncertainty.{table}]  # standard deviations"]
             lines += [f"{name} = {float(sd)!r}" for name, sd in own.items()]

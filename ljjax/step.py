@@ -52,8 +52,9 @@ class Unrolled(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """What drives one step: mean tensions u₁, u₂ [N], vacuum [kPa], external torques [N·m] or None; the temperature's
-    rise [K] and the step's start [s], where effects ask for them."""
+    """What drives one step: mean tensions u₁, u₂ [N], vacuum [kPa], external torques [N·m] or None; where effects ask
+    for them the temperature's rise [K], the step's start [s], the slip of earlier runs [rad], and the slopes [N/s] of
+    u₁, u₂ over a further delay, where they are delayed already."""
 
     left: Array
     right: Array
@@ -61,6 +62,8 @@ class Drive(NamedTuple):
     torque: Vector | None = None
     warm: Array | None = None
     t: Array | None = None
+    worn: Array | None = None
+    late: tuple[Array, Array] | None = None
 
 
 class Constants(NamedTuple):
@@ -301,6 +304,12 @@ def begin(model: Model, q: Vector, v: Vector, z: Vector, drive: Drive) -> Unroll
 def _now(model: Model, state: Unrolled, drive: Drive, h: Array) -> Now:
     zero = jnp.zeros_like(drive.left)
     middle = tuple(q + 0.5 * h * v for q, v in zip(state.q, state.v, strict=True))
+    u = drive.left, drive.right
+    if drive.late is not None:
+        for effect in model.effects:
+            if (delay := effect.delay_s()) is not None:  # to first order, whose value the inputs hold already
+                more = delay - jax.lax.stop_gradient(delay)
+                u = u[0] + more * drive.late[0], u[1] + more * drive.late[1]
     return Now(
         model,
         zero if drive.t is None else drive.t,
@@ -309,9 +318,10 @@ def _now(model: Model, state: Unrolled, drive: Drive, h: Array) -> Now:
         state.v,
         state.z,
         middle,
-        (drive.left, drive.right),
+        u,
         drive.vacuum,
         zero if drive.warm is None else drive.warm,
+        zero if drive.worn is None else drive.worn,
     )
 
 

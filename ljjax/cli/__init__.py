@@ -18,6 +18,7 @@ from ljjax.errors import InputError, SolverError
 
 COMMANDS = {
     "fit": "identify a robot's parameters from logs",
+    "gap": "find where model and robot disagree, and which effect causes it",
     "simulate": "replay a log's commands through a model",
     "sweep": "simulate over ranges of parameters",
     "info": "what logs hold, and whether they meet the contract",

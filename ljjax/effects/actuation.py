@@ -1,0 +1,124 @@
+"""Effects between the command and the body: motors, spools, tendons."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from ljjax.effect import Effect, parameter, shape
+from ljjax.effects.shapes import Vector, arm, lagged, positive, turned
+
+
+class ActuatorDelay(Effect):
+    """The tensions follow their commands after a transport delay: T(t) = T_cmd(t − d)."""
+
+    id, block, axes = "actuator_delay", "actuation", ("rate", "load", "time")
+    delay_seconds: jax.Array = parameter("s", 0.0, 0.0, 0.4, 0.03)
+
+    def delay_s(self):
+        return self.delay_seconds
+
+
+class ActuatorDeadband(Effect):
+    """Stiction of gearbox and spool eats the first d newtons: (T − d)₊."""
+
+    id, block, axes = "actuator_deadband", "actuation", ("load", "everywhere", "angle")
+    band_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.5)
+
+    def actuate(self, memory, u, now):
+        return tuple(jnp.where(t > self.band_n, t - self.band_n, 0.0 * t) for t in u), memory
+
+
+class ActuatorGain(Effect):
+    """The torque constant or the spool's radius is wrong: (1 + e) T_cmd."""
+
+    id, block, axes = "actuator_gain", "actuation", ("load", "everywhere", "angle")
+    error: jax.Array = parameter("1", 0.0, -0.6, 1.5, 0.1)
+
+    def actuate(self, memory, u, now):
+        return tuple((1 + self.error) * t for t in u), memory
+
+
+class ActuatorSaturation(Effect):
+    """Beyond a limit the tension follows its command by 1 − s only: T − s (T − T_max)₊."""
+
+    id, block, axes = "actuator_saturation", "actuation", ("load", "angle")
+    share: jax.Array = parameter("1", 0.0, 0.0, 1.0, 0.5)
+    limit_n: jax.Array = shape("N", 10.0, 0.05, 1e3, (0.45, 0.65, 0.85), "tension")
+
+    def actuate(self, memory, u, now):
+        return tuple(t - self.share * positive(t - self.limit_n) for t in u), memory
+
+
+class ActuatorLag(Effect):
+    """The current or tension loop is of first order: τ Ṫ = T_cmd − T. Exact for commands that hold over a step."""
+
+    id, block, axes = "actuator_lag", "actuation", ("rate", "load", "time")
+    tau_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.05)
+
+    def start(self, now):
+        return now.u
+
+    def actuate(self, memory, u, now):
+        pairs = [lagged(x, held, self.tau_s, now.h) for x, held in zip(u, memory, strict=True)]
+        return tuple(mean for mean, _ in pairs), tuple(end for _, end in pairs)
+
+
+class ActuatorRipple(Effect):
+    """Cogging over the spool's angle, which goes with the body's: A sin(N s + ψ) = a sin(w q_Σ) + b cos(w q_Σ), taken
+    as a difference of the tensions."""
+
+    id, block, axes = "actuator_ripple", "actuation", ("angle", "load")
+    sine_n: jax.Array = parameter("N", 0.0, -10.0, 10.0, 0.3)
+    cosine_n: jax.Array = parameter("N", 0.0, -10.0, 10.0, 0.3)
+    waves: jax.Array = shape("1/rad", 15.0, 2.0, 200.0, (5.0, 8.0, 11.0, 14.0, 18.0, 22.0, 27.0, 33.0, 40.0, 50.0))
+
+    def actuate(self, memory, u, now):
+        phase = self.waves * sum(now.middle)
+        half = 0.5 * (self.sine_n * jnp.sin(phase) + self.cosine_n * jnp.cos(phase))
+        return (u[0] + half, u[1] - half), memory
+
+
+class TendonSlack(Effect):
+    """Backlash between spool and body: the net tension passes a play of half-width w."""
+
+    id, block, axes = "tendon_slack", "actuation", ("direction", "load", "rate")
+    width_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.5)
+
+    def start(self, now):
+        return (now.u[0] - now.u[1],)
+
+    def actuate(self, memory, u, now):
+        net, (held,) = u[0] - u[1], memory
+        w = self.width_n
+        new = jnp.where(net - w > held, net - w, jnp.where(net + w < held, net + w, held))
+        half = 0.5 * (new - net)
+        return (u[0] + half, u[1] - half), (new,)
+
+
+TURN_RAD = 0.01
+"""Tip rotation within which capstan friction turns round [rad]."""
+
+
+class TendonFriction(Effect):
+    """Capstan friction along the routing: joint k feels T exp(∓μ Σ_{j ≤ k}|q_j|), less in the tendon pulled in, more in
+    the one paid out."""
+
+    id, block, axes = "tendon_friction", "actuation", ("direction", "angle", "load")
+    mu: jax.Array = parameter("1/rad", 0.0, 0.0, 6.0, 0.2)
+
+    def start(self, now):
+        return (0.0 * now.q[0],)
+
+    def load(self, memory, load, now):
+        (way,) = memory
+        out, wrapped = [], 0.0 * now.q[0]
+        for i, q in enumerate(now.middle):
+            wrapped = wrapped + jnp.abs(q)
+            e = self.mu * wrapped * way
+            out.append(load[i] + arm(now) * (now.u[0] * jnp.expm1(-e) - now.u[1] * jnp.expm1(e)))
+        return tuple(out)
+
+    def remember(self, memory, now, after):
+        moved: Vector = tuple(b - a for a, b in zip(now.q, after.q, strict=True))
+        return (turned(memory[0], sum(moved), TURN_RAD),)

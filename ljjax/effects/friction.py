@@ -1,0 +1,55 @@
+"""Effects of friction that the vacuum does not cause."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from ljjax.effect import Effect, parameter
+from ljjax.effects.shapes import turned
+
+TURN_RAD, BENT_RAD = 0.004, 0.015
+"""Rotation within which a joint's direction turns round, and bend from which it counts as bent [rad]."""
+
+
+class FrictionAsymmetry(Effect):
+    """Loading and unloading rub differently: φ (1 + a) where a joint bends further, φ (1 − a) where it straightens."""
+
+    id, block, axes = "friction_asymmetry", "friction", ("direction", "angle")
+    share: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.15)
+
+    def start(self, now):
+        return tuple(0.0 * q for q in now.q)
+
+    def phi(self, memory, phi, now):
+        bent = [q / jnp.sqrt(q * q + BENT_RAD**2) for q in now.q]
+        return tuple(p * (1 + self.share * way * b) for p, way, b in zip(phi, memory, bent, strict=True))
+
+    def remember(self, memory, now, after):
+        return tuple(turned(way, b - a, TURN_RAD) for way, a, b in zip(memory, now.q, after.q, strict=True))
+
+
+class LoadDependentFriction(Effect):
+    """Tendon load presses the layers: φ + k (u₁ + u₂)."""
+
+    id, block, axes = "load_dependent_friction", "friction", ("load", "direction", "angle")
+    gain: jax.Array = parameter("N·m/N", 0.0, 0.0, 20.0, 0.1)
+
+    def phi(self, memory, phi, now):
+        more = self.gain * (now.u[0] + now.u[1])
+        return tuple(p + more for p in phi)
+
+
+class ThermalDrift(Effect):
+    """Friction and stiffness drift as the robot warms: times 1 + b ΔT. Where no temperature is logged ΔT is the time
+    since the first run began, 10 K (1 − exp(−t/600 s))."""
+
+    id, block, axes = "thermal_drift", "friction", ("run", "time", "direction")
+    friction_per_k: jax.Array = parameter("1/K", 0.0, -0.2, 0.2, 0.01)
+    stiffness_per_k: jax.Array = parameter("1/K", 0.0, -0.2, 0.2, 0.01)
+
+    def alpha2(self, memory, alpha2, now):
+        return tuple(a * (1 + self.stiffness_per_k * now.warm) for a in alpha2)
+
+    def phi(self, memory, phi, now):
+        return tuple(p * (1 + self.friction_per_k * now.warm) for p in phi)

@@ -1,0 +1,119 @@
+"""Effects of the vacuum and the layers."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from ljjax.effect import Effect, parameter, shape
+from ljjax.effects.shapes import lagged, positive, turned
+
+
+class PressureLag(Effect):
+    """Line and sheath fill slowly: τ Ṗ = P_line − P, with times of their own for more and for less vacuum."""
+
+    id, block, axes = "pressure_lag", "jamming", ("pressure", "time", "rate")
+    fill_s: jax.Array = parameter("s", 0.0, 0.0, 10.0, 0.2)
+    vent_s: jax.Array = parameter("s", 0.0, 0.0, 10.0, 0.2)
+
+    def start(self, now):
+        return (now.vacuum,)
+
+    def evacuate(self, memory, vacuum, now):
+        (held,) = memory
+        mean, end = lagged(vacuum, held, jnp.where(vacuum > held, self.fill_s, self.vent_s), now.h)
+        return mean, (end,)
+
+
+VENT_S, VENTED_KPA = 0.3, 0.5
+
+
+class PressureLeak(Effect):
+    """The sheath holds less vacuum than the gauge, the more the longer it is held: P = (1 − L f) P_line, f rising to 1
+    with the time constant τ while there is a vacuum, and back to 0 soon after it is vented."""
+
+    id, block, axes = "pressure_leak", "jamming", ("pressure", "time")
+    share: jax.Array = parameter("1", 0.0, 0.0, 0.95, 0.15)
+    tau_s: jax.Array = shape("s", 5.0, 0.05, 200.0, (1.5, 5.0, 20.0))
+
+    def start(self, now):
+        return (0.0 * now.vacuum,)
+
+    def evacuate(self, memory, vacuum, now):
+        (leaked,) = memory
+        held = vacuum > VENTED_KPA
+        goal = jnp.where(held, 1.0 + 0.0 * vacuum, 0.0 * vacuum)
+        mean, end = lagged(goal, leaked, jnp.where(held, self.tau_s, VENT_S + 0.0 * self.tau_s), now.h)
+        return vacuum * (1 - self.share * mean), (end,)
+
+
+class PressureBias(Effect):
+    """Offset of regulator or gauge: P = (P_line + b)₊."""
+
+    id, block, axes = "pressure_bias", "jamming", ("pressure", "everywhere")
+    offset_kpa: jax.Array = parameter("kPa", 0.0, -20.0, 20.0, 1.0)
+
+    def evacuate(self, memory, vacuum, now):
+        return positive(vacuum + self.offset_kpa), memory
+
+
+class StiffnessSaturation(Effect):
+    """α₂ saturates with the vacuum: α₂ + a (1 − exp(−P/p₀)) on top of the polynomial, whose own slope is fitted too."""
+
+    id, block, axes = "stiffness_saturation", "jamming", ("pressure", "angle")
+    rise: jax.Array = parameter("N·m/rad", 0.0, -20.0, 20.0, 0.5)
+    knee_kpa: jax.Array = shape("kPa", 5.0, 0.3, 60.0, (2.0, 6.0, 18.0))
+
+    def alpha2(self, memory, alpha2, now):
+        more = self.rise * -jnp.expm1(-now.vacuum / self.knee_kpa)
+        return tuple(a + more for a in alpha2)
+
+
+class FrictionSaturation(Effect):
+    """φ saturates with the vacuum: φ + a (1 − exp(−P/p₀)) on top of the square root, whose own slope is fitted too."""
+
+    id, block, axes = "friction_saturation", "jamming", ("pressure", "direction")
+    rise: jax.Array = parameter("N·m", 0.0, -100.0, 200.0, 3.0)
+    knee_kpa: jax.Array = shape("kPa", 8.0, 0.3, 60.0, (2.0, 6.0, 18.0))
+
+    def phi(self, memory, phi, now):
+        more = self.rise * -jnp.expm1(-now.vacuum / self.knee_kpa)
+        return tuple(p + more for p in phi)
+
+
+class LayerHysteresis(Effect):
+    """Interlayer slip with a memory longer than the bristles': the torque a φ w, ẇ = (v − |v| w)/x₀ (Bouc–Wen without
+    its linear part), |w| ≤ 1."""
+
+    id, block, axes = "layer_hysteresis", "jamming", ("direction", "angle", "pressure")
+    strength: jax.Array = parameter("1", 0.0, 0.0, 0.2, 0.002)
+    width_rad: jax.Array = shape("rad", 0.05, 0.005, 1.0, (0.015, 0.04, 0.12))
+
+    def start(self, now):
+        return tuple(0.0 * q for q in now.q)
+
+    def torque(self, memory, i, q, v, stage):
+        x = stage.time / self.width_rad
+        return self.strength * stage.phi[i] * (memory[i] + x * v) / (1 + x * jnp.abs(v))
+
+    def remember(self, memory, now, after):
+        return tuple(turned(w, b - a, self.width_rad) for w, a, b in zip(memory, now.q, after.q, strict=True))
+
+
+class LayerWear(Effect):
+    """φ falls with the accumulated slip S: φ (1 − w (1 − exp(−S/S₀))), S the way gone by the mean joint [rad]."""
+
+    id, block, axes = "layer_wear", "jamming", ("run", "time", "direction")
+    loss: jax.Array = parameter("1", 0.0, -0.5, 0.95, 0.15)
+    scale_rad: jax.Array = shape("rad", 10.0, 0.1, 1e3, (1.5, 6.0, 25.0))
+
+    def start(self, now):
+        return (now.worn,)
+
+    def phi(self, memory, phi, now):
+        left = 1 + self.loss * jnp.expm1(-memory[0] / self.scale_rad)
+        return tuple(p * left for p in phi)
+
+    def remember(self, memory, now, after):
+        moved = sum(jnp.abs(b - a) for a, b in zip(now.q, after.q, strict=True))
+        return (memory[0] + moved / len(now.q),)

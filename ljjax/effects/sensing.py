@@ -1,0 +1,72 @@
+"""Effects between the body and the log."""
+
+from __future__ import annotations
+
+import jax
+
+from ljjax.effect import Effect, parameter
+from ljjax.effects.shapes import lagged, legendre
+
+
+class SensorScale(Effect):
+    """The camera's scale is wrong: (1 + s) y."""
+
+    id, block, axes = "sensor_scale", "sensing", ("everywhere", "angle")
+    error: jax.Array = parameter("1", 0.0, -0.6, 1.5, 0.05)
+
+    def sense(self, memory, y, now):
+        return tuple((1 + self.error) * x for x in y), memory
+
+    def unsense(self, y):
+        return tuple(x / (1 + self.error) for x in y)
+
+
+class SensorBias(Effect):
+    """Markers sit off their places: y + b, and where joints have markers of their own an offset each, by modes along
+    the body."""
+
+    id, block, axes = "sensor_bias", "sensing", ("everywhere", "segment")
+    offset_rad: jax.Array = parameter("rad", 0.0, -0.5, 0.5, 0.01)
+    mode1: jax.Array = parameter("rad", 0.0, -0.5, 0.5, 0.01)
+    mode2: jax.Array = parameter("rad", 0.0, -0.5, 0.5, 0.01)
+    mode3: jax.Array = parameter("rad", 0.0, -0.5, 0.5, 0.01)
+    mode4: jax.Array = parameter("rad", 0.0, -0.5, 0.5, 0.01)
+    mode5: jax.Array = parameter("rad", 0.0, -0.5, 0.5, 0.01)
+
+    def _offset(self, i, n):
+        modes = (self.mode1, self.mode2, self.mode3, self.mode4, self.mode5)
+        return self.offset_rad + sum(m * p for m, p in zip(modes, legendre(i, n), strict=True))
+
+    def sense(self, memory, y, now):
+        return tuple(x + self._offset(i, len(y)) for i, x in enumerate(y)), memory
+
+    def unsense(self, y):
+        return tuple(x - self._offset(i, len(y)) for i, x in enumerate(y))
+
+
+class SensorFilter(Effect):
+    """Detections are averaged: τẏ = x − y, exact for angles that move steadily over a step."""
+
+    id, block, axes = "sensor_filter", "sensing", ("rate", "time")
+    tau_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.03)
+
+    def start(self, now):
+        return tuple(now.q), tuple(now.q)
+
+    def sense(self, memory, y, now):
+        out = []
+        for x, before, held in zip(y, *memory, strict=True):
+            late = self.tau_s * (x - before) / now.h
+            _, end = lagged(x - late, held + (x - before), self.tau_s, now.h)
+            out.append(end)
+        return tuple(out), (tuple(y), tuple(out))
+
+
+class SensorDelay(Effect):
+    """The shape is stamped later than it was seen (camera latency, clock offset): y(t − d)."""
+
+    id, block, axes = "sensor_delay", "sensing", ("rate", "time")
+    delay_seconds: jax.Array = parameter("s", 0.0, 0.0, 0.4, 0.03)
+
+    def latency_s(self):
+        return self.delay_seconds

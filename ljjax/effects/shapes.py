@@ -1,0 +1,48 @@
+"""Small pieces that several effects are made of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ljjax.effect import Now
+
+Vector = tuple[Array, ...]
+SHORT_S = 1e-6
+
+
+def positive(x: Array) -> Array:
+    """x₊, of slope 0 at 0."""
+    return jnp.where(x > 0, x, 0.0 * x)
+
+
+def lagged(x: Array, held: Array, tau: Array, h: Array) -> tuple[Array, Array]:
+    """Mean over a step of h [s] and value at its end of τẏ = x − y, y = `held` at its start, x constant."""
+    slow = tau > SHORT_S
+    decay = jnp.where(slow, jnp.exp(-h / jnp.where(slow, tau, 1.0 + 0.0 * tau)), 0.0 * tau)
+    return x + (held - x) * (1 - decay) * tau / h, x + (held - x) * decay
+
+
+def turned(way: Array, moved: Any, width: float | Array) -> Array:
+    """Direction of motion in [−1, 1] after a way `moved`, turning round within about `width` (Dahl's relay)."""
+    return jnp.sign(moved) + (way - jnp.sign(moved)) * jnp.exp(-jnp.abs(moved) / width)
+
+
+def arm(now: Now) -> Array:
+    """The tendons' lever arm g(q) at the middle of the step [m]."""
+    model = now.model
+    return model.chain.lever_arm_m if model.lever is None else model.lever(jnp.stack(now.middle))
+
+
+def legendre(i: int, n: int) -> tuple[float, ...]:
+    """P₁ … P₅ at joint i of n, along the body from −1 to 1: ways in which segments may differ."""
+    x = 2 * i / (n - 1) - 1 if n > 1 else 0.0
+    return (
+        x,
+        (3 * x**2 - 1) / 2,
+        (5 * x**3 - 3 * x) / 2,
+        (35 * x**4 - 30 * x**2 + 3) / 8,
+        (63 * x**5 - 70 * x**3 + 15 * x) / 8,
+    )

@@ -1,0 +1,168 @@
+"""Effects of the body: elasticity, gravity, obstacles."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from ljjax.effect import Effect, Now, Vector, parameter, shape
+from ljjax.effects.shapes import lagged, legendre, positive
+
+GRAVITY = 9.80665
+
+
+class ViscoelasticCreep(Effect):
+    """Backbone and sheath relax: a Maxwell branch k (q − x), τẋ = q − x, beside the elasticity."""
+
+    id, block, axes = "viscoelastic_creep", "structure", ("time", "rate", "angle")
+    stiffness: jax.Array = parameter("N·m/rad", 0.0, 0.0, 50.0, 0.3)
+    tau_s: jax.Array = shape("s", 2.0, 0.02, 200.0, (0.25, 1.5, 8.0))
+
+    def start(self, now):
+        return tuple(now.q)
+
+    def torque(self, memory, i, q, v, stage):
+        return self.stiffness * (q - memory[i]) / (1 + stage.time / self.tau_s)
+
+    def remember(self, memory, now, after):
+        middles = [0.5 * (a + b) for a, b in zip(now.q, after.q, strict=True)]
+        return tuple(lagged(q, x, self.tau_s, now.h)[1] for q, x in zip(middles, memory, strict=True))
+
+
+class ViscousDamping(Effect):
+    """Damping independent of the vacuum: D q̇."""
+
+    id, block, axes = "viscous_damping", "structure", ("rate", "direction")
+    damping: jax.Array = parameter("N·m·s/rad", 0.0, 0.0, 20.0, 0.05)
+
+    def torque(self, memory, i, q, v, stage):
+        return self.damping * v
+
+
+class StiffnessHardening(Effect):
+    """Elasticity nonlinear in the angle: k₃ q³."""
+
+    id, block, axes = "stiffness_hardening", "structure", ("angle",)
+    cubic: jax.Array = parameter("N·m/rad³", 0.0, -500.0, 5000.0, 5.0)
+
+    def torque(self, memory, i, q, v, stage):
+        return self.cubic * q * q * q
+
+
+class RestCurvature(Effect):
+    """The unloaded shape is bent: α₂ (q − q₀)."""
+
+    id, block, axes = "rest_curvature", "structure", ("everywhere", "angle", "pressure")
+    angle_rad: jax.Array = parameter("rad", 0.0, -1.0, 1.0, 0.02)
+
+    def torque(self, memory, i, q, v, stage):
+        return -stage.alpha2[i] * self.angle_rad
+
+
+class BaseTilt(Effect):
+    """Gravity not along the unbent body: α₁ sin(q_Σ − δ)."""
+
+    id, block, axes = "base_tilt", "structure", ("everywhere", "angle", "pressure")
+    tilt_rad: jax.Array = parameter("rad", 0.0, -1.5, 1.5, 0.15)
+
+    def load(self, memory, load, now):
+        total = sum(now.middle)
+        more = now.model.gravity.alpha1 * (jnp.sin(total - self.tilt_rad) - jnp.sin(total))
+        return tuple(x - more for x in load)
+
+
+def _ends(now: Now) -> tuple[Vector, Vector]:
+    """Across and along the unbent body, from each joint to the tip [m]."""
+    psi, across, along = 0.0 * now.middle[0], [], []
+    n = len(now.middle)
+    length = now.model.chain.half_length_m
+    for i, q in enumerate(now.middle):
+        psi = psi + q
+        own = length * (2.0 if i < n - 1 else 1.0)
+        across.append(own * jnp.sin(psi))
+        along.append(own * jnp.cos(psi))
+    for i in range(n - 2, -1, -1):
+        across[i], along[i] = across[i] + across[i + 1], along[i] + along[i + 1]
+    return tuple(across), tuple(along)
+
+
+class TipPayload(Effect):
+    """An unmodelled mass at the tip of a body that hangs: its gravity m g (x_tip − x_i) and its inertia."""
+
+    id, block, axes = "tip_payload", "structure", ("angle", "rate", "everywhere")
+    mass_kg: jax.Array = parameter("kg", 0.0, 0.0, 5.0, 0.02)
+
+    def load(self, memory, load, now):
+        across, _ = _ends(now)
+        return tuple(x - self.mass_kg * GRAVITY * a for x, a in zip(load, across, strict=True))
+
+    def inertia(self, m, now):
+        across, along = _ends(now)
+        return tuple(
+            tuple(e + self.mass_kg * (along[i] * along[k] + across[i] * across[k]) for k, e in enumerate(row))
+            for i, row in enumerate(m)
+        )
+
+
+class GravityDistribution(Effect):
+    """Weight acts along the hanging body, not as one cosine: U = Σ m g hᵢ(q), from links of the weight w (the last of
+    half of it), beside α₁, which is fitted too."""
+
+    id, block, axes = "gravity_distribution", "structure", ("angle", "segment")
+    link_weight_n: jax.Array = parameter("N", 0.0, -5.0, 20.0, 0.2)
+
+    def load(self, memory, load, now):
+        n = len(now.middle)
+        length = now.model.chain.half_length_m
+        psi, sines = 0.0 * now.middle[0], []
+        for q in now.middle:
+            psi = psi + q
+            sines.append(jnp.sin(psi))
+        out = list(load)
+        beyond, moment = 0.0, 0.0 * psi
+        for k in range(n - 1, -1, -1):
+            own, reach = (1.0, 2.0) if k < n - 1 else (0.5, 1.0)
+            moment = moment + (own * 0.5 + beyond) * reach * length * sines[k]
+            beyond += own
+            out[k] = out[k] - self.link_weight_n * moment
+        return tuple(out)
+
+
+class NonuniformStiffness(Effect):
+    """Segments differ: α₂,ᵢ = α₂ (1 + dᵢ), d by modes along the body (Legendre's P₁ … P₅; their mean is in α₂)."""
+
+    id, block, axes = "nonuniform_stiffness", "structure", ("segment",)
+    mode1: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
+    mode2: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
+    mode3: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
+    mode4: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
+    mode5: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
+
+    def alpha2(self, memory, alpha2, now):
+        modes = (self.mode1, self.mode2, self.mode3, self.mode4, self.mode5)
+        n = len(alpha2)
+        return tuple(
+            a * (1 + sum(m * p for m, p in zip(modes, legendre(i, n), strict=True))) for i, a in enumerate(alpha2)
+        )
+
+
+class Contact(Effect):
+    """One-sided contact, on the side the angle q_c says: an end stop k_c (q − q_c)₊ in every joint, and an obstacle
+    beside the tip, where it is when every joint is at q_c, that pushes back with k_t times the way beyond it."""
+
+    id, block, axes = "contact", "structure", ("angle",)
+    stop: jax.Array = parameter("N·m/rad", 0.0, 0.0, 500.0, 3.0)
+    obstacle: jax.Array = parameter("N/m", 0.0, 0.0, 300.0, 10.0)
+    angle_rad: jax.Array = shape("rad", 0.1, -2.0, 2.0, (0.35, -0.35, 0.7, -0.7), "angle")
+
+    def torque(self, memory, i, q, v, stage):
+        side = jnp.where(self.angle_rad < 0, -1.0 + 0.0 * q, 1.0 + 0.0 * q)
+        return self.stop * side * positive(side * (q - self.angle_rad))
+
+    def load(self, memory, load, now):
+        n, length = len(now.middle), now.model.chain.half_length_m
+        across, along = _ends(now)
+        at = sum((2.0 if i < n - 1 else 1.0) * jnp.sin((i + 1) * self.angle_rad) for i in range(n)) * length
+        side = jnp.where(self.angle_rad < 0, -1.0 + 0.0 * at, 1.0 + 0.0 * at)
+        force = self.obstacle * side * positive(side * (across[0] - at))
+        return tuple(x - force * a for x, a in zip(load, along, strict=True))
