@@ -65,14 +65,14 @@ def scipys(folder: Path) -> dict[str, Any]:
     from scipy.optimize import least_squares
 
     from ljjax import fast
-    from ljjax.fit.run import _case
+    from ljjax.fit.run import prepared
     from ljjax.fit.windows import STEPS
     from ljjax.inputs import Inputs
     from ljjax.model import replace
     from ljjax.simulation import ITERATIONS, rest
 
     _, runs, start = data(folder)
-    case = _case(start, "the guess", runs, (), start.frozen, "commands")
+    case = prepared(start, "the guess", runs, (), start.frozen, "commands")
     assert not isinstance(case, list)
     c, motions = case.problem.coordinates, case.problem.motions
     begin = time.perf_counter()

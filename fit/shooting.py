@@ -132,20 +132,20 @@ def answer_all(requests: Sequence[Request]) -> list[Answer]:
     return answers
 
 
-WIDER = 8
+LEAST, WIDER = 20, 8
 
 
 def _padded(request: Request) -> int:
     """How many derivatives the kernel takes: with effects in steps, so that candidates share one compilation."""
     k = jax.tree.leaves(request.slopes)[0].shape[0]
-    return WIDER * math.ceil((k - 4) / WIDER) + 4 if request.model.effects else k
+    return LEAST + WIDER * max(0, math.ceil((k - LEAST) / WIDER)) if request.model.effects else k
 
 
 class _Batch:
     """The windows of several requests on one axis: robots, drives and first shapes."""
 
-    def __init__(self, requests: Sequence[Request], width: int):
-        self.requests, self.count = requests, [len(r.windows) for r in requests]
+    def __init__(self, requests: Sequence[Request], width: int, dtype: Any = float):
+        self.count = [len(r.windows) for r in requests]
         self.of = np.repeat(np.arange(len(requests)), self.count)
         self.model = jax.tree.map(lambda *x: np.array(x, float), *(r.model for r in requests))
         self.slopes = jax.tree.map(
@@ -158,6 +158,9 @@ class _Batch:
         self.h = np.concatenate([np.full(len(r.windows), r.windows.h) for r in requests])
         self.q = tuple(np.concatenate([r.windows.q.T + r.offset for r in requests], axis=-1))
         self.v = tuple(np.concatenate([r.windows.v.T for r in requests], axis=-1))
+        parts = self.model, self.slopes, self.drive, self.h, self.q, self.v
+        parts = jax.tree.map(lambda x: np.asarray(x, dtype), parts)
+        self.model, self.slopes, self.drive, self.h, self.q, self.v = parts
 
     def robots(self, windows: Any) -> tuple[Model, Model]:
         """Model and slopes of these windows (an index)."""
@@ -170,11 +173,12 @@ class _Batch:
         q, v, first = jax.tree.map(take, (self.q, self.v, jax.tree.map(lambda x: x[0], self.drive)))
         return Starts(*_tiled(_balance, (*self.robots(windows), q, v, first)))
 
-    def shoot(self, windows: Any, starts: Starts, joints: bool) -> Any:
+    def shoot(self, windows: Any, starts: Starts, joints: bool, onward: bool = False) -> Any:
         """`_shoot` of these windows from `starts`."""
         take = lambda x: x[..., windows]  # noqa: E731
         drive, h = jax.tree.map(take, (self.drive, self.h))
-        return _tiled(partial(_shoot, joints), (*self.robots(windows), starts.state, starts.slope, drive, h))
+        given = (*self.robots(windows), starts.state, starts.slope, drive, h)
+        return _tiled(partial(_shoot, joints, onward), given)
 
 
 def _answer(requests: Sequence[Request], width: int, joints: bool) -> list[Answer]:
@@ -203,8 +207,9 @@ def _answer(requests: Sequence[Request], width: int, joints: bool) -> list[Answe
 
 
 def _onward(requests: Sequence[Request], width: int, joints: bool) -> list[Answer]:
-    """Free runs: the first windows of all runs, then their second ones, and so on."""
-    batch = _Batch(requests, width)
+    """Free runs: the first windows of all runs, then their second ones, and so on; in float32, whose rounding is far
+    below any measurement's noise."""
+    batch = _Batch(requests, width, np.float32)
     opens = np.concatenate([r.windows.opens for r in requests])
     index = np.arange(len(opens))
     place = index - np.maximum.accumulate(np.where(opens, index, 0))
@@ -218,7 +223,7 @@ def _onward(requests: Sequence[Request], width: int, joints: bool) -> list[Answe
         else:
             kept = np.isin(before, now - 1)
             state = jax.tree.map(lambda x, kept=kept: x[..., kept], state)
-        (_, end), (_, slope), path, path_slope, _ = batch.shoot(now, state, joints)
+        (_, end), (_, slope), path, path_slope, _ = batch.shoot(now, state, joints, True)
         for i in np.unique(batch.of[now]):
             mine = np.flatnonzero(batch.of[now] == i)
             take = lambda x, mine=mine: x[..., mine]  # noqa: E731
@@ -291,18 +296,18 @@ def _balance(model, slopes, q, v, drive):
         return jax.vmap(one)(model, q, v, drive)
 
     k = jax.tree.leaves(slopes)[0].shape[0]
-    along = jnp.zeros((k + 1, q[0].shape[0])).at[k].set(1.0)
+    along = jnp.zeros((k + 1, q[0].shape[0]), q[0].dtype).at[k].set(1.0)
     with_angle = jax.tree.map(lambda s: jnp.concatenate([s, jnp.zeros_like(s[:1])]), slopes)
     return _push(f, (model, q), (with_angle, tuple(along for _ in q)))
 
 
-@partial(jax.jit, static_argnums=0, compiler_options=batch.options())
-def _shoot(joints: bool, model, slopes, state, slope, drive, h):
+@partial(jax.jit, static_argnums=(0, 1), compiler_options=batch.options())
+def _shoot(joints: bool, onward: bool, model, slopes, state, slope, drive, h):
     """Middles and ends of the windows, the path (q, v, what is seen − q) from start to end, and all derivatives."""
 
     def f(model, state):
         def one(m, s, d, h):
-            return fast.path(m, s, d, h, How(loops=True))
+            return fast.path(m, s, d, h, How(2 if onward else 3, loops=True))
 
         after = jax.vmap(one, in_axes=(0, 0, 1, 0), out_axes=1)(model, state, drive, h)
         full = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, after)
@@ -314,6 +319,9 @@ def _shoot(joints: bool, model, slopes, state, slope, drive, h):
         return (jax.tree.map(lambda x: x[half], after), jax.tree.map(lambda x: x[-1], after)), path
 
     with_angle = jax.tree.map(lambda s: jnp.concatenate([s, jnp.zeros_like(s[:1])]), slopes)
+    if onward:
+        (ends, path), (end_slopes, path_slopes) = _push(f, (model, state), (with_angle, slope))
+        return ends, end_slopes, path, path_slopes, jnp.zeros((1, h.shape[0]))
     alike = jax.tree.map(lambda s: jnp.zeros((2, *s.shape[1:]), s.dtype), slope)
     shifts = [tuple(x.at[i].set(1.0) for x in part) for i, part in enumerate((alike.q, alike.z))]
     alike = alike._replace(q=shifts[0], z=shifts[1])

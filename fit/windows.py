@@ -184,8 +184,9 @@ def _integral(m: Motion, x: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.
     after = at - m.input_t[index]
     middle = x[:-1] if m.hold else 0.5 * (x[:-1] + x[1:])
     total = np.concatenate([[0.0], np.cumsum(middle * np.diff(m.input_t))])
-    if m.hold:
-        return total[index] + x[index] * after, x[index]
+    if m.hold:  # the value up to now: what a delay brings in
+        before = np.clip(np.searchsorted(m.input_t, at - 1e-9, side="left") - 1, 0, len(x) - 1)
+        return total[index] + x[index] * after, x[before]
     value = np.interp(at, m.input_t, x)
     return total[index] + 0.5 * (x[index] + value) * after, value
 

@@ -28,7 +28,8 @@ Memory = tuple[Any, ...]
 class Now(NamedTuple):
     """What a hook may look at: the model, the step's start and length [s], the state at its start, the shape predicted
     for its middle [rad], the tensions (u₁, u₂) [N] and the vacuum [kPa] as known so far in the step, and the
-    temperature's rise [K] and the slip of earlier runs [rad] since the first run began."""
+    temperature's rise [K] and the slip of earlier runs [rad] since the first run began; sine and cosine of the links'
+    directions ψ at the middle; and, from `load` on, α₂ [N·m/rad] and φ [N·m] of each joint."""
 
     model: Any
     t: Array
@@ -41,6 +42,10 @@ class Now(NamedTuple):
     vacuum: Array
     warm: Array
     worn: Array
+    sin: Vector = ()
+    cos: Vector = ()
+    alpha2: Vector = ()
+    phi: Vector = ()
 
 
 def parameter(unit: str, null: float, low: float, high: float, scale: float) -> Any:

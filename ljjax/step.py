@@ -97,11 +97,19 @@ def _running(x: Sequence[Array]) -> list[Array]:
     return out
 
 
-def inertia_and_coriolis(c: Constants, q: Sequence[Array], v: Sequence[Array]) -> tuple[tuple[Vector, ...], Vector]:
-    """M(q), its lower rows, and C(q, v)v, from 2n sines and cosines: sums of A_ab cos(ψ_a − ψ_b) from the end on."""
-    n = len(q)
-    psi, omega = _running(q), _running(v)
-    cos, sin = apart(([jnp.cos(x) for x in psi], [jnp.sin(x) for x in psi]))
+def directions(q: Sequence[Array]) -> tuple[Vector, Vector]:
+    """Sine and cosine of the links' directions ψᵢ = q₁ + … + qᵢ."""
+    psi = _running(q)
+    sin, cos = apart(([jnp.sin(x) for x in psi], [jnp.cos(x) for x in psi]))
+    return tuple(sin), tuple(cos)
+
+
+def inertia_and_coriolis(
+    c: Constants, sin: Vector, cos: Vector, v: Sequence[Array]
+) -> tuple[tuple[Vector, ...], Vector]:
+    """M(q), its lower rows, and C(q, v)v, from `directions(q)`: sums of A_ab cos(ψ_a − ψ_b) from the end on."""
+    n = len(v)
+    omega = _running(v)
     m: list[list[Any]] = [[None] * n for _ in range(n)]
     for i in range(n - 1, -1, -1):
         for k in range(i, -1, -1):
@@ -286,7 +294,7 @@ def in_balance(model: Model, q: Vector, v: Vector, drive: Drive) -> Unrolled:
     n = len(q)
     now = _now(model, Unrolled(q, v, v), drive, jnp.full_like(drive.left, MOMENT_S))
     now, memory, alpha2, phi = _inputs(model, now, tuple(e.start(now) for e in model.effects))
-    load = _load(model, now, memory, drive)
+    load = _load(model, now._replace(alpha2=alpha2, phi=phi), memory, drive)
     gravity = model.gravity.alpha1 * jnp.sin(sum(q))
     f = model.friction
     free = [((load[i] - gravity - alpha2[i] * q[i]) / phi[i] - f.sigma2 * v[i]) / f.sigma0 for i in range(n)]
@@ -322,6 +330,7 @@ def _now(model: Model, state: Unrolled, drive: Drive, h: Array) -> Now:
         drive.vacuum,
         zero if drive.warm is None else drive.warm,
         zero if drive.worn is None else drive.worn,
+        *directions(middle),
     )
 
 
@@ -367,8 +376,9 @@ def advance(model: Model, c: Constants, state: Unrolled, drive: Drive, h: Any, h
     h = h * jnp.ones_like(drive.left)
     s = GAMMA * h
     now, memory, alpha2, phi = _inputs(model, _now(model, state, drive, h), state.memory)
-    still = tuple(jnp.zeros_like(x) for x in state.q)
-    m, coriolis = inertia_and_coriolis(c, still if model.constant_mass else now.middle, state.v)
+    now = now._replace(alpha2=alpha2, phi=phi)
+    still = tuple(jnp.zeros_like(x) for x in state.q), tuple(jnp.ones_like(x) for x in state.q)
+    m, coriolis = inertia_and_coriolis(c, *(still if model.constant_mass else (now.sin, now.cos)), state.v)
     for effect in model.effects:
         m = effect.inertia(m, now)
     load = _load(model, now, memory, drive)

@@ -86,14 +86,17 @@ class TendonSlack(Effect):
     width_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.5)
 
     def start(self, now):
-        return (now.u[0] - now.u[1],)
+        net = now.u[0] - now.u[1]
+        return net, 0.0 * net
 
     def actuate(self, memory, u, now):
-        net, (held,) = u[0] - u[1], memory
+        net, (held, way) = u[0] - u[1], memory
         w = self.width_n
-        new = jnp.where(net - w > held, net - w, jnp.where(net + w < held, net + w, held))
+        play = jnp.where(net - w > held, net - w, jnp.where(net + w < held, net + w, held))
+        way = jnp.where(net > held, 1.0 + 0.0 * net, jnp.where(net < held, -1.0 + 0.0 * net, way))
+        new = jnp.where(w > 0, play, net - w * way)  # without play what is held must not linger in the derivatives
         half = 0.5 * (new - net)
-        return (u[0] + half, u[1] - half), (new,)
+        return (u[0] + half, u[1] - half), (new, way)
 
 
 TURN_RAD = 0.01

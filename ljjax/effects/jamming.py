@@ -58,26 +58,26 @@ class PressureBias(Effect):
 
 
 class StiffnessSaturation(Effect):
-    """α₂ saturates with the vacuum: α₂ + a (1 − exp(−P/p₀)) on top of the polynomial, whose own slope is fitted too."""
+    """α₂ saturates with the vacuum: α₂ + a P/(P + p₀) on top of the polynomial, whose own slope is fitted too."""
 
     id, block, axes = "stiffness_saturation", "jamming", ("pressure", "angle")
     rise: jax.Array = parameter("N·m/rad", 0.0, -20.0, 20.0, 0.5)
     knee_kpa: jax.Array = shape("kPa", 5.0, 0.3, 60.0, (2.0, 6.0, 18.0))
 
     def alpha2(self, memory, alpha2, now):
-        more = self.rise * -jnp.expm1(-now.vacuum / self.knee_kpa)
+        more = self.rise * positive(now.vacuum) / (positive(now.vacuum) + self.knee_kpa)
         return tuple(a + more for a in alpha2)
 
 
 class FrictionSaturation(Effect):
-    """φ saturates with the vacuum: φ + a (1 − exp(−P/p₀)) on top of the square root, whose own slope is fitted too."""
+    """φ saturates with the vacuum: φ + a P/(P + p₀) on top of the square root, whose own slope is fitted too."""
 
     id, block, axes = "friction_saturation", "jamming", ("pressure", "direction")
     rise: jax.Array = parameter("N·m", 0.0, -100.0, 200.0, 3.0)
     knee_kpa: jax.Array = shape("kPa", 8.0, 0.3, 60.0, (2.0, 6.0, 18.0))
 
     def phi(self, memory, phi, now):
-        more = self.rise * -jnp.expm1(-now.vacuum / self.knee_kpa)
+        more = self.rise * positive(now.vacuum) / (positive(now.vacuum) + self.knee_kpa)
         return tuple(p + more for p in phi)
 
 
@@ -92,9 +92,12 @@ class LayerHysteresis(Effect):
     def start(self, now):
         return tuple(0.0 * q for q in now.q)
 
-    def torque(self, memory, i, q, v, stage):
-        x = stage.time / self.width_rad
-        return self.strength * stage.phi[i] * (memory[i] + x * v) / (1 + x * jnp.abs(v))
+    def load(self, memory, load, now):
+        out = []
+        for t, w, p, q, middle in zip(load, memory, now.phi, now.q, now.middle, strict=True):
+            x = (middle - q) / self.width_rad
+            out.append(t - self.strength * p * (w + x) / (1 + jnp.abs(x)))
+        return tuple(out)
 
     def remember(self, memory, now, after):
         return tuple(turned(w, b - a, self.width_rad) for w, a, b in zip(memory, now.q, after.q, strict=True))

@@ -21,8 +21,9 @@ class ViscoelasticCreep(Effect):
     def start(self, now):
         return tuple(now.q)
 
-    def torque(self, memory, i, q, v, stage):
-        return self.stiffness * (q - memory[i]) / (1 + stage.time / self.tau_s)
+    def load(self, memory, load, now):
+        slow = self.stiffness / (1 + 0.5 * now.h / self.tau_s)
+        return tuple(t - slow * (q - x) for t, q, x in zip(load, now.middle, memory, strict=True))
 
     def remember(self, memory, now, after):
         middles = [0.5 * (a + b) for a, b in zip(now.q, after.q, strict=True)]
@@ -45,8 +46,8 @@ class StiffnessHardening(Effect):
     id, block, axes = "stiffness_hardening", "structure", ("angle",)
     cubic: jax.Array = parameter("N·m/rad³", 0.0, -500.0, 5000.0, 5.0)
 
-    def torque(self, memory, i, q, v, stage):
-        return self.cubic * q * q * q
+    def load(self, memory, load, now):
+        return tuple(t - self.cubic * q * q * q for t, q in zip(load, now.middle, strict=True))
 
 
 class RestCurvature(Effect):
@@ -55,8 +56,8 @@ class RestCurvature(Effect):
     id, block, axes = "rest_curvature", "structure", ("everywhere", "angle", "pressure")
     angle_rad: jax.Array = parameter("rad", 0.0, -1.0, 1.0, 0.02)
 
-    def torque(self, memory, i, q, v, stage):
-        return -stage.alpha2[i] * self.angle_rad
+    def load(self, memory, load, now):
+        return tuple(t + a * self.angle_rad for t, a in zip(load, now.alpha2, strict=True))
 
 
 class BaseTilt(Effect):
@@ -73,17 +74,14 @@ class BaseTilt(Effect):
 
 def _ends(now: Now) -> tuple[Vector, Vector]:
     """Across and along the unbent body, from each joint to the tip [m]."""
-    psi, across, along = 0.0 * now.middle[0], [], []
-    n = len(now.middle)
-    length = now.model.chain.half_length_m
-    for i, q in enumerate(now.middle):
-        psi = psi + q
-        own = length * (2.0 if i < n - 1 else 1.0)
-        across.append(own * jnp.sin(psi))
-        along.append(own * jnp.cos(psi))
-    for i in range(n - 2, -1, -1):
-        across[i], along[i] = across[i] + across[i + 1], along[i] + along[i + 1]
-    return tuple(across), tuple(along)
+    n, length = len(now.middle), now.model.chain.half_length_m
+    out = []
+    for part in (now.sin, now.cos):
+        own = [length * (2.0 if i < n - 1 else 1.0) * x for i, x in enumerate(part)]
+        for i in range(n - 2, -1, -1):
+            own[i] = own[i] + own[i + 1]
+        out.append(tuple(own))
+    return out[0], out[1]
 
 
 class TipPayload(Effect):
@@ -114,15 +112,11 @@ class GravityDistribution(Effect):
     def load(self, memory, load, now):
         n = len(now.middle)
         length = now.model.chain.half_length_m
-        psi, sines = 0.0 * now.middle[0], []
-        for q in now.middle:
-            psi = psi + q
-            sines.append(jnp.sin(psi))
         out = list(load)
-        beyond, moment = 0.0, 0.0 * psi
+        beyond, moment = 0.0, 0.0 * now.sin[0]
         for k in range(n - 1, -1, -1):
             own, reach = (1.0, 2.0) if k < n - 1 else (0.5, 1.0)
-            moment = moment + (own * 0.5 + beyond) * reach * length * sines[k]
+            moment = moment + (own * 0.5 + beyond) * reach * length * now.sin[k]
             beyond += own
             out[k] = out[k] - self.link_weight_n * moment
         return tuple(out)

@@ -1,0 +1,1 @@
+"""The blind check: does the diagnosis name causes planted in simulators that share no code with it?"""

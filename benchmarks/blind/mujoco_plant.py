@@ -1,0 +1,110 @@
+"""A second plant, in MuJoCo: hinges, cylinders, fixed tendons; causes of gaps by MuJoCo's own means where it has them.
+
+tip_payload is a body, base_tilt turns the gravity vector, contact is a wall beside the tip, tendon_friction is friction
+loss of the tendons, actuator_lag is activation dynamics, viscous_damping is joint damping, nonuniform_stiffness and
+rest_curvature are the joints' springs.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import mujoco as _mujoco
+import numpy as np
+
+from benchmarks.blind.plant import JOINTS, Causes, Diverged, Motion, compiled, pointer
+from benchmarks.recovery.experiments import PERIOD_S, Experiment
+from benchmarks.recovery.robots import CENTRE
+
+mujoco: Any = _mujoco  # its stubs lack what it is made of
+IDS = (
+    *("tip_payload", "base_tilt", "contact", "tendon_friction", "actuator_lag", "viscous_damping"),
+    *("nonuniform_stiffness", "rest_curvature"),
+)
+
+
+def session(truth: Mapping[str, float], causes: Causes, runs: Sequence[Experiment], substeps: int) -> list[Motion]:
+    """All runs, each from rest; arguments and result as of `plant.session`, half the steps. Raises Diverged."""
+    substeps = max(1, substeps // 2)  # a step here costs more, and half as many leave 0.001°
+    robot = np.array([truth[path] for path in CENTRE])
+    value = {name: float(numbers[0]) for name, numbers in causes.items()}
+    uneven = np.zeros(JOINTS)
+    if "nonuniform_stiffness" in causes:
+        uneven = np.maximum(value["nonuniform_stiffness"] * np.array(causes["nonuniform_stiffness"][1:]), -0.95)
+    tilt, damping, friction = (value.get(x, 0.0) for x in ("base_tilt", "viscous_damping", "tendon_friction"))
+    extra = np.array([tilt, damping, friction, *uneven])
+    model = mujoco.MjModel.from_xml_string(xml(truth, causes))
+    motions = []
+    for i, run in enumerate(runs):
+        count = len(run.pressure_kpa)
+        data = mujoco.MjData(model)
+        u, vacuum = np.ascontiguousarray(run.tendons), np.ascontiguousarray(run.pressure_kpa)
+        q, tension = np.empty((count, JOINTS)), np.empty((count, 2))
+        failed = _library().run(
+            *(ctypes.c_void_p(x._address) for x in (model, data)),
+            *(pointer(x) for x in (robot, extra)),
+            ctypes.c_int(count),
+            *(pointer(x) for x in (u, vacuum)),
+            ctypes.c_double(PERIOD_S),
+            ctypes.c_int(substeps),
+            *(pointer(x) for x in (q, tension)),
+        )
+        if failed:
+            raise Diverged(f"{', '.join(causes)}: run {i} diverged")
+        motions.append(Motion(q, tension, vacuum.copy(), np.zeros(count)))
+    return motions
+
+
+def xml(truth: Mapping[str, float], causes: Causes) -> str:
+    """The robot as MJCF: base at the origin, the unbent body along −z, + bends toward +x."""
+    half, mass, radius = (truth[f"chain.{x}"] for x in ("half_length_m", "segment_mass_kg", "radius_m"))
+    tilt = float(causes["base_tilt"][0]) if "base_tilt" in causes else 0.0
+    body, close = "", ""
+    for i in range(JOINTS):
+        share = 1.0 if i < JOINTS - 1 else 0.5
+        length, own = 2 * half * share, mass * share
+        across, along = own * (radius**2 / 4 + length**2 / 12), own * radius**2 / 2
+        rest = causes["rest_curvature"][0] * causes["rest_curvature"][1 + i] if "rest_curvature" in causes else 0.0
+        body += (
+            f'<body pos="0 0 {-2 * half * (i > 0):.9g}" gravcomp="1"><joint name="j{i}" type="hinge" axis="0 -1 0" '
+            f'stiffness="1" damping="1" springref="{rest:.9g}"/><inertial pos="0 0 {-length / 2:.9g}" mass="{own:.9g}" '
+            f'diaginertia="{across:.9g} {across:.9g} {along:.9g}"/>'
+        )
+        close += "</body>"
+    if "tip_payload" in causes:
+        grams, beyond, aside = causes["tip_payload"][:3]
+        body += (
+            f'<body pos="{aside:.9g} 0 {-half - beyond:.9g}"><geom type="sphere" size="0.01" mass="{grams:.9g}" '
+            'contype="0" conaffinity="0"/></body>'
+        )
+    wall = ""
+    if "contact" in causes:
+        strength, where, side = causes["contact"][:3]
+        away = where * (2.1 - 1.5 * strength / (strength + 1000))  # stronger is nearer
+        body += f'<geom type="sphere" size="0.002" pos="0 0 {-half:.9g}" mass="1e-9" conaffinity="2" contype="1"/>'
+        wall = (
+            f'<geom type="plane" size="1 1 1" pos="{side * (away + 0.002):.9g} 0 0" zaxis="{-side:.9g} 0 0" '
+            'contype="2" conaffinity="1" condim="1" solref="0.01 1"/>'
+        )
+    lag = f'dyntype="filterexact" dynprm="{causes["actuator_lag"][0]:.9g}"' if "actuator_lag" in causes else ""
+    tendons, motors = "", ""
+    for name, way in (("left", 1), ("right", -1)):
+        lines = "".join(f'<joint joint="j{i}" coef="{way * truth["chain.lever_arm_m"]:.9g}"/>' for i in range(JOINTS))
+        tendons += f'<fixed name="{name}" frictionloss="1e-9" solreffriction="0.002 1">{lines}</fixed>'
+        motors += f'<general tendon="{name}" {lag} gainprm="1"/>'
+    return (
+        f'<mujoco><option gravity="{9.81 * np.sin(tilt):.9g} 0 {-9.81 * np.cos(tilt):.9g}" integrator="implicitfast" '
+        f'iterations="50" tolerance="1e-10"/><compiler angle="radian"/><worldbody>{wall}{body}{close}</worldbody>'
+        f"<tendon>{tendons}</tendon><actuator>{motors}</actuator></mujoco>"
+    )
+
+
+@cache
+def _library() -> ctypes.CDLL:
+    here = Path(mujoco.__file__).parent
+    shared = next(here.glob("libmujoco.so*"))
+    return compiled("mujoco_loop.c", (f"-I{here / 'include'}",), (str(shared), f"-Wl,-rpath,{here}"))

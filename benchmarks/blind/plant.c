@@ -1,0 +1,270 @@
+/* The robot of docs/model.md with the causes of gaps built in, written apart from ljjax.
+
+   Absolute angles psi_i = q_1 + ... + q_i and an implicit midpoint for (v, z) between two half-steps of q.
+   Every cause has a row f[ID] of WIDTH numbers; f[ID][0] is its strength, 0 when it is not there. SI units; kPa. */
+#include "plant.h"
+
+/* Cholesky of the symmetric positive definite a, b solved in place. */
+static void solve(double a[N][N], double b[N]) {
+    for (int j = 0; j < N; j++) {
+        for (int k = 0; k < j; k++) a[j][j] -= a[j][k] * a[j][k];
+        a[j][j] = sqrt(a[j][j]);
+        double inverse = 1 / a[j][j];
+        for (int i = j + 1; i < N; i++) {
+            for (int k = 0; k < j; k++) a[i][j] -= a[i][k] * a[j][k];
+            a[i][j] *= inverse;
+        }
+    }
+    for (int i = 0; i < N; i++) {
+        for (int k = 0; k < i; k++) b[i] -= a[i][k] * b[k];
+        b[i] /= a[i][i];
+    }
+    for (int i = N - 1; i >= 0; i--) {
+        for (int k = i + 1; k < N; k++) b[i] -= a[k][i] * b[k];
+        b[i] /= a[i][i];
+    }
+}
+
+/* One run from rest. Out, at the start of each period: q (periods, N), tension at the spool (periods, 2), vacuum in
+   the line and temperature above the first morning's (periods). Returns 0, or 1 where the motion blew up. */
+int run(const double *robot, const double *causes, double *carried, int count, const double *u, const double *vacuum,
+        double period, int substeps, double session, double *q_out, double *tension_out, double *line_out,
+        double *warm_out) {
+    const Robot *r = (const Robot *)robot;
+    const double (*f)[WIDTH] = (const double (*)[WIDTH])causes;
+    Carried *c = (Carried *)carried;
+    State s;
+    memset(&s, 0, sizeof s);
+
+    double length[N], inertia[N][N] = {{0}}, weight[N];
+    for (int i = 0; i < N; i++) length[i] = 2 * r->half_length * (i < N - 1 ? 1 : 0.5);
+    for (int b = 0; b < N; b++) {
+        double own = r->mass * (b < N - 1 ? 1 : 0.5), beyond = 0;
+        for (int k = b + 1; k < N; k++) beyond += r->mass * (k < N - 1 ? 1 : 0.5);
+        inertia[b][b] = own * (r->radius * r->radius / 4 + length[b] * length[b] / 3) + beyond * length[b] * length[b];
+        for (int a = 0; a < b; a++)
+            inertia[a][b] = inertia[b][a] = length[a] * (own * length[b] / 2 + beyond * length[b]);
+        weight[b] = 9.81 * (own * length[b] / 2 + beyond * length[b]);
+    }
+    double payload = f[TIP_PAYLOAD][0], arm[N];
+    for (int i = 0; i < N; i++) arm[i] = length[i] + (i == N - 1 ? f[TIP_PAYLOAD][1] : 0);
+    if (payload > 0) {
+        for (int a = 0; a < N; a++)
+            for (int b = 0; b < N; b++) inertia[a][b] += payload * arm[a] * arm[b];
+        inertia[N - 1][N - 1] += 0.4 * payload * 0.015 * 0.015;
+    }
+    double spread = f[GRAVITY_DISTRIBUTION][0], cosine = spread > 1 ? 0 : 1 - spread;
+    double creep_time[4] = {0.25, 1.2, 6, 30}, creep_share[4] = {0.4, 0.3, 0.2, 0.1};
+    double play_width[PLAYS] = {0.01, 0.03, 0.07, 0.14}, play_share[PLAYS] = {0.4, 0.28, 0.2, 0.12};
+
+    for (int i = 0; i < 2; i++) {
+        s.tension[i] = s.first[i] = s.slack[i][0] = s.slack[i][1] = u[i];
+        s.breakaway[i] = u[i] > f[ACTUATOR_DEADBAND][0];
+    }
+    s.sheath = s.line = vacuum[0];
+    int settle = f[REST_CURVATURE][0] != 0 || f[BASE_TILT][0] != 0 || payload > 0;
+    actuate(f, &s, u, count, 0, period, 0, r->lever);
+    double h = period / substeps, half = h / 2;
+    long begin = settle ? -(long)(3.0 / h) : 0, all = (long)count * substeps;
+
+    for (long step = begin; step < all; step++) {
+        double t = step * h, middle = t + half;
+        int calm = step < 0;
+        if (step == 0) {
+            for (int i = 0; i < N; i++) {
+                s.v[i] = s.omega_mid[i] = s.z[i] = s.guide[i] = 0;
+                for (int k = 0; k < PLAYS; k++) s.play[i][k] = s.q[i];
+                for (int k = 0; k < 4; k++) s.branch[i][k] = s.q[i];
+                s.pendulum += s.q[i];
+            }
+        }
+        if (!calm && step % substeps == 0) {
+            long k = step / substeps;
+            memcpy(q_out + k * N, s.q, sizeof s.q);
+            tension_out[2 * k] = s.tension[0], tension_out[2 * k + 1] = s.tension[1];
+            line_out[k] = s.line, warm_out[k] = c->felt;
+        }
+        actuate(f, &s, u, count, calm ? 0 : middle, period, h, r->lever);
+        pressurise(f, &s, held(vacuum, count, 1, calm ? 0 : middle, period), calm ? 0 : h);
+        double pull[2];
+        for (int i = 0; i < 2; i++) pull[i] = past_slack(f[TENDON_SLACK], s.slack[i], s.tension[i]);
+        double P = s.sheath, heat = (s.tension[0] + s.tension[1]) / 25 + 0.4;
+        if (!calm) {
+            c->warm += h * (heat * 0.12 - c->warm / 260);
+            c->felt += h * (c->warm - c->felt) / 4;
+        }
+
+        /* The pressure's laws. */
+        double knee = f[STIFFNESS_SATURATION][0], stiff = P, rub = P;
+        if (knee > 0) stiff = P / cbrt(1 + pow(knee * P / 20, 3));
+        double alpha2 = r->c3 + r->c2 * stiff + r->c1 * stiff * stiff, added = alpha2 - r->c3;
+        knee = f[FRICTION_SATURATION][0];
+        if (knee > 0) rub = 20 / knee * tanh(knee * P / 20);
+        double phi = r->c4 + r->c5 * sqrt(rub), warmth = c->warm / 10;
+        if (f[THERMAL_DRIFT][0] > 0) {
+            double share = exp(-f[THERMAL_DRIFT][0] * warmth * sqrt(1 + warmth));
+            if (f[THERMAL_DRIFT][1] < 0.5) phi *= share; else alpha2 *= share, added *= share;
+        }
+        if (f[GLUE_FAILURE][0] > 0 && session + t > f[GLUE_FAILURE][1]) alpha2 *= 1 - f[GLUE_FAILURE][0];
+        double load = pull[0] + pull[1];
+        if (f[LOAD_DEPENDENT_FRICTION][0] > 0) phi += f[LOAD_DEPENDENT_FRICTION][0] * pow(load + 1e-3, 0.75);
+
+        /* Half a step of q, and what depends on q. */
+        double psi[N], cosp[N], sinp[N], bend = 0, torque[N], phi_i[N], extra[N], asymmetry[N], around[N];
+        for (int i = 0; i < N; i++) {
+            s.q[i] += half * s.v[i];
+            psi[i] = bend += s.q[i];
+            cosp[i] = cos(bend), sinp[i] = sin(bend);
+        }
+        double left[N], right[N], a = pull[0], b = pull[1], slide[N], beyond = 0;
+        for (int i = N - 1; i >= 0; i--) slide[i] = beyond += s.v[i];
+        for (int i = 0; i < N; i++) {
+            if (f[TENDON_FRICTION][0] > 0) {
+                double rate = r->lever * slide[i], wrap = fabs(s.q[i]) + f[TENDON_FRICTION][1];
+                if (!calm) s.guide[i] = (s.guide[i] + h * rate / 1e-4) / (1 + h * fabs(rate) / 1e-4);
+                double loss = f[TENDON_FRICTION][0] * wrap * (s.guide[i] + 0.8 * rate);
+                a *= 1 - loss, b *= 1 + loss;
+            }
+            left[i] = a, right[i] = b;
+        }
+        for (int i = 0; i < N; i++) {
+            double q = s.q[i], of = alpha2;
+            if (f[NONUNIFORM_STIFFNESS][0] > 0) {
+                double d = f[NONUNIFORM_STIFFNESS][0] * f[NONUNIFORM_STIFFNESS][1 + i];
+                of += d * (alpha2 - added) + 0.6 * d * added;
+                if (of < 0.05 * alpha2) of = 0.05 * alpha2;
+            }
+            double free = f[REST_CURVATURE][0] * f[REST_CURVATURE][1 + i];
+            torque[i] = of * (q - free) - r->lever * (left[i] - right[i]);
+            if (f[STIFFNESS_HARDENING][0] != 0) torque[i] += f[STIFFNESS_HARDENING][0] * q * fabs(q);
+            if (f[SNAP_THROUGH][0] > 0)
+                torque[i] -= f[SNAP_THROUGH][0] * sin(f[SNAP_THROUGH][1] * q);
+            if (f[LAYER_HYSTERESIS][0] > 0 && !calm) {
+                double x = 0.25 * tanh(q / 0.25), sum = 0;
+                for (int k = 0; k < PLAYS; k++) {
+                    s.play[i][k] = clamp(s.play[i][k], x - play_width[k], x + play_width[k]);
+                    sum += play_share[k] * (x - s.play[i][k]) / play_width[k];
+                }
+                torque[i] += f[LAYER_HYSTERESIS][0] * sum * (0.35 + P / 25);
+            }
+            if (f[VISCOELASTIC_CREEP][0] > 0 && !calm)
+                for (int k = 0; k < 4; k++) {
+                    s.branch[i][k] += h * (q - s.branch[i][k]) / creep_time[k];
+                    torque[i] += f[VISCOELASTIC_CREEP][0] * creep_share[k] * (q - s.branch[i][k]);
+                }
+            if (f[BASE_VIBRATION][0] > 0)
+                torque[i] -= f[BASE_VIBRATION][0] * (N - i) / N *
+                             sin(6.283185307 * f[BASE_VIBRATION][1] * (session + t) + f[BASE_VIBRATION][2]);
+            phi_i[i] = phi;
+            if (f[LAYER_WEAR][0] > 0) {
+                double x = pow(c->slip[i] / f[LAYER_WEAR][1], 0.8);
+                phi_i[i] *= 1 - f[LAYER_WEAR][0] * x / (1 + x);
+            }
+            if (f[JAMMED_JOINT][0] > 0 && i == (int)f[JAMMED_JOINT][1])
+                phi_i[i] *= 1 + f[JAMMED_JOINT][0] * (1 + sin(q / 0.05 + f[JAMMED_JOINT][2]));
+            if (f[BUCKLING_FRICTION][0] > 0) {
+                double x = q / f[BUCKLING_FRICTION][1];
+                phi_i[i] *= 1 / (1 + f[BUCKLING_FRICTION][0] * x * x * x * x / (1 + x * x * x * x));
+            }
+            asymmetry[i] = 1;
+            if (f[FRICTION_ASYMMETRY][0] != 0)
+                asymmetry[i] += f[FRICTION_ASYMMETRY][0] * tanh(q / 0.02) * tanh(s.v[i] / 0.01);
+            extra[i] = calm ? 0.3 : 0;
+        }
+        /* In absolute angles: gravity, Coriolis, contact at the tip. */
+        double tilt = f[BASE_TILT][0], depth = -f[CONTACT][1], slip = 0, rate[N], sum = 0;
+        double tipward = r->alpha1 * (sinp[N - 1] * cos(tilt) - cosp[N - 1] * sin(tilt) * (1 + 0.15 * sinp[N - 1])) * cosine;
+        for (int i = 0; i < N; i++) {
+            rate[i] = sum += s.v[i];
+            depth += f[CONTACT][2] * length[i] * sinp[i];
+            slip += f[CONTACT][2] * length[i] * cosp[i] * rate[i];
+        }
+        double push = 0;
+        if (f[CONTACT][0] > 0 && depth > 0) {
+            push = f[CONTACT][0] * depth * sqrt(depth) * clamp(1 + 3 * slip, 0, 3);
+        }
+        if (f[HIDDEN_PENDULUM][0] > 0 && !calm) {
+            double w = f[HIDDEN_PENDULUM][1];
+            s.pendulum_rate += h * (w * w * (psi[N - 1] - s.pendulum) - 0.12 * w * s.pendulum_rate);
+            s.pendulum += h * s.pendulum_rate;
+            tipward += f[HIDDEN_PENDULUM][0] * (psi[N - 1] - s.pendulum);
+        }
+        double mass[N][N];
+        for (int i = 0; i < N; i++) {
+            double spun = 0;
+            for (int j = 0; j < N; j++) {
+                double cosine_ij = cosp[i] * cosp[j] + sinp[i] * sinp[j];
+                mass[i][j] = inertia[i][j] * cosine_ij / half;
+                spun += inertia[i][j] * (sinp[i] * cosp[j] - cosp[i] * sinp[j]) * s.omega_mid[j] * s.omega_mid[j];
+            }
+            around[i] = spun + (i == N - 1 ? tipward : 0) + f[CONTACT][2] * push * length[i] * cosp[i];
+            if (payload > 0) {
+                around[i] += payload * 9.81 * arm[i] * sinp[i];
+                if (i == N - 1) around[i] += payload * 9.81 * f[TIP_PAYLOAD][2] * cosp[i];
+            }
+            if (spread > 0) around[i] += spread * weight[i] * (1 - 0.12 * (i - 2.5)) * sinp[i];
+        }
+
+        /* Newton for the velocity at mid-step. */
+        double mid[N], mid_z[N], d_z[N], gain[N], before = 0;
+        for (int i = 0; i < N; i++) {
+            double now = s.omega_mid[i];
+            mid[i] = step == begin || step == 0 ? 0 : now - before;
+            before = now;
+        }
+        double drop = r->mu_s - r->mu_c, memory = r->sigma1 / half;
+        for (int turn = 0; turn < 4; turn++) {
+            double matrix[N][N], right_side[N], tau[N], d_tau[N], relative = 0, largest = 0, delta[N];
+            for (int i = 0; i < N; i++) {
+                double v = mid[i], speed = fabs(v);
+                if (calm) {
+                    mid_z[i] = d_z[i] = 0;
+                    tau[i] = torque[i] + extra[i] * v, d_tau[i] = extra[i];
+                } else {
+                    double x = speed > 1e-12 ? exp(r->sigma3 * log(speed / r->v_s)) : 0, g = drop * exp(-x);
+                    double rho = (r->mu_c + g) * asymmetry[i], scale = 1 + half * speed / rho;
+                    double slope = sign(v) / rho * (1 + g / (r->mu_c + g) * r->sigma3 * x);
+                    mid_z[i] = (s.z[i] + half * v) / scale;
+                    d_z[i] = half * (1 - slope * mid_z[i]) / scale;
+                    tau[i] = torque[i] + phi_i[i] * ((1 + memory) * mid_z[i] - memory * s.z[i] + r->sigma2 * v);
+                    d_tau[i] = phi_i[i] * ((1 + memory) * d_z[i] + r->sigma2);
+                    if (f[VISCOUS_DAMPING][0] > 0) {
+                        double v0 = 0.25;
+                        tau[i] += f[VISCOUS_DAMPING][0] * v0 * asinh(v / v0);
+                        d_tau[i] += f[VISCOUS_DAMPING][0] / sqrt(1 + v * v / (v0 * v0));
+                    }
+                }
+                relative += mid[i] - s.v[i];
+                gain[i] = relative;
+            }
+            for (int i = 0; i < N; i++) {
+                double x = around[i] + tau[i] - (i + 1 < N ? tau[i + 1] : 0);
+                for (int j = 0; j < N; j++) {
+                    matrix[i][j] = mass[i][j];
+                    x += mass[i][j] * gain[j];
+                }
+                right_side[i] = -x;
+                matrix[i][i] += d_tau[i] + (i + 1 < N ? d_tau[i + 1] : 0);
+                if (i) matrix[i][i - 1] -= d_tau[i], matrix[i - 1][i] -= d_tau[i];
+            }
+            solve(matrix, right_side);
+            for (int i = 0; i < N; i++) {
+                delta[i] = right_side[i] - (i ? right_side[i - 1] : 0);
+                mid[i] += delta[i];
+                mid_z[i] += d_z[i] * delta[i];
+                if (fabs(delta[i]) > largest) largest = fabs(delta[i]);
+            }
+            if (turn >= 1 && largest < 1e-7) break;
+        }
+        sum = 0;
+        for (int i = 0; i < N; i++) {
+            s.omega_mid[i] = sum += mid[i];
+            s.v[i] = 2 * mid[i] - s.v[i];
+            s.z[i] = calm ? 0 : 2 * mid_z[i] - s.z[i];
+            s.q[i] += half * s.v[i];
+            if (!calm) c->slip[i] += h * fabs(mid[i]);
+            if (!(fabs(s.q[i]) < 3)) return 1;
+        }
+    }
+    return 0;
+}

@@ -1,0 +1,58 @@
+"""From the plant's motion to what markers show: causes of gaps in the camera, then noise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.blind.plant import Causes, Motion
+from benchmarks.recovery.experiments import PERIOD_S, Array
+
+JOINT_SD_RAD = np.radians(0.047)
+THETA_SD_RAD = np.radians(0.0195)
+SHAPE_EVERY = 2
+"""Periods of the commands between two shapes: 100 Hz."""
+
+
+def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
+    """(T', columns): angles as the camera gives them at every `SHAPE_EVERY`-th period, without noise [rad].
+
+    Args:
+        columns: 6 for every joint, 1 for their mean.
+        causes: numbers by cause; those that are not of the camera are ignored.
+        run: place in the session.
+    """
+    q = motion.q if columns > 1 else motion.q.mean(axis=1, keepdims=True)
+    t = np.arange(len(q)) * PERIOD_S
+    at = t[::SHAPE_EVERY]
+    if f := causes.get("sensor_filter"):
+        q = _averaged(q, f[0])
+    if f := causes.get("sensor_delay"):
+        late = f[0] * (1 + 0.15 * np.sin(2 * np.pi * f[1] * at + f[2]))
+        y = np.stack([np.interp(at - late, t, x) for x in q.T], axis=1)
+    else:
+        y = q[::SHAPE_EVERY].copy()
+    if f := causes.get("sensor_scale"):
+        y += f[0] * y * (1 - 0.1 * (y / 0.6) ** 2)
+    if f := causes.get("sensor_bias"):
+        offsets = np.array(f[1 : 1 + columns]) if columns > 1 else np.ones(1)
+        y += f[0] * offsets * np.cos(y)
+    if f := causes.get("camera_wander"):
+        rng = np.random.default_rng([int(f[1]), run])
+        for hz in (0.04, 0.09, 0.17, 0.31):
+            turn = rng.uniform(0, 2 * np.pi)
+            y += (f[0] * rng.normal() * (np.sin(2 * np.pi * hz * at + turn) - np.sin(turn)))[:, None]
+    return y
+
+
+def noise_sd(columns: int) -> float:
+    """Of one angle [rad]."""
+    return JOINT_SD_RAD if columns > 1 else THETA_SD_RAD
+
+
+def _averaged(q: Array, seconds: float) -> Array:
+    """A mean over the past `seconds`, the middle of it counting most."""
+    m = max(2, round(seconds / PERIOD_S))
+    weight = np.hanning(m + 2)[1:-1]
+    weight /= weight.sum()
+    padded = np.concatenate([np.repeat(q[:1], m - 1, axis=0), q])
+    return np.stack([np.convolve(x, weight, "valid") for x in padded.T], axis=1)

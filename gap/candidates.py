@@ -1,0 +1,58 @@
+"""What may be the cause: every effect at its null in one model, and trials that set some of them free."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from ljjax.effect import Effect
+from ljjax.fit.coordinates import without_effects
+from ljjax.model import Model
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """Effects set free together.
+
+    Attributes:
+        ids: the effects; none for the base alone.
+        start: value by path of their parameters where a search begins; its keys are what is free.
+    """
+
+    ids: tuple[str, ...] = ()
+    start: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def size(self) -> int:
+        return len(self.start)
+
+
+def universal(model: Model, kinds: Sequence[type[Effect]]) -> Model:
+    """The model with every effect of `kinds` at its null: one program simulates all candidates."""
+    return dataclasses.replace(without_effects(model), effects=tuple(kind() for kind in kinds))
+
+
+def sizes(kind: type[Effect], joints: int, logged: int) -> list[str]:
+    """Names of the parameters that say how large an effect is, those left out that nothing logged could show: modes
+    along the body where `logged` is θ alone, or the body has too few joints for them."""
+    modes = min(logged, joints) - 1
+    return [n for n in kind.sizes() if not n.startswith("mode") or int(n[4:]) <= modes]
+
+
+def pilots(kind: type[Effect], span: Mapping[str, float]) -> list[dict[str, float]]:
+    """Forms from which a search begins: name → value, one form varied at a time."""
+    forms = {n: about for n, about in kind.fields().items() if about["pilots"]}
+    if not forms:
+        return [{}]
+    values = {
+        n: [min(max(p * span[about["of"]], about["low"]), about["high"]) for p in about["pilots"]]
+        for n, about in forms.items()
+    }
+    middle = {n: v[len(v) // 2] for n, v in values.items()}
+    return [{**middle, n: x} for n, v in values.items() for x in v]
+
+
+def path(kind: type[Effect], name: str) -> str:
+    """The path of an effect's parameter."""
+    return f"effects.{kind.id}.{name}"

@@ -1,0 +1,115 @@
+"""From refits to an answer: probabilities, what cannot be told apart, and whether there is an effect at all.
+
+Two things part candidates. Chance: a gain must exceed the largest one that any candidate makes of data without an
+effect. And form: no effect has quite the form it has here, so that even the true cause leaves a share of the gap; what
+it leaves is taken to be spread as 1/share^`SHARPNESS`, whatever the number of samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+SHARPNESS = 6.0
+LEAVES = 0.25
+"""The share of a gap that an effect outside the library is taken to leave by the best one inside it."""
+NONE = 8.0
+"""Odds before looking that no effect is there: a gain that chance makes once in a hundred leaves them even."""
+MATTERS = 0.02
+"""A gap below this share of the noise's variance is none."""
+ALIKE = 1.25
+"""Candidates whose leftovers are within this factor cannot be told apart."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the judgement rests on.
+
+    Attributes:
+        excess: of the base's loss over the noise's.
+        left: by effect, share of it that is left with this effect, alone or with others (the least).
+        parameters: by effect, how many it took.
+        unit: what a χ² of 1 is, as a share of the excess (the residuals' colour counted).
+        chance: probability that data without an effect gain as much.
+        refitted: whether the given model explains the runs no worse than the refitted base does.
+        coloured: RMS of what the base leaves, in units of the white noise.
+    """
+
+    excess: float
+    left: Mapping[str, float]
+    parameters: Mapping[str, int]
+    unit: float
+    chance: float
+    as_given: bool
+    coloured: float
+
+
+def probabilities(e: Evidence) -> dict[str, float]:
+    """Of every candidate, `no_gap`, `parameters_only` and `unlisted_effect`; they sum to 1."""
+    out = dict.fromkeys((*e.left, "no_gap", "parameters_only", "unlisted_effect"), 0.0)
+    p = min(max(e.chance, 1e-12), 1 / np.e)
+    odds = -NONE * np.e * p * np.log(p)  # the least Bayes factor for chance that p allows (Sellke, Bayarri and Berger)
+    none = odds / (1 + odds) if e.chance < 1 / np.e else 0.95
+    small = max(e.excess, 0.0) < MATTERS
+    none = max(none, 0.97) if small else none
+    out["no_gap" if e.as_given else "parameters_only"] = none
+    blur = 0.004 + 8 * e.unit
+    weight = {i: (max(left, 0.0) + blur + 2 * e.unit * e.parameters[i]) ** -SHARPNESS for i, left in e.left.items()}
+    weight["unlisted_effect"] = 0.5 * (LEAVES + blur) ** -SHARPNESS
+    total = sum(weight.values())
+    for i, w in weight.items():
+        out[i] += (1 - none) * w / total
+    return out
+
+
+def chance(null: np.ndarray, gain: float, unit: float) -> float:
+    """Probability that data without an effect gain as much, from draws (D,) of their largest gain; beyond all draws
+    the tail of χ², whose unit is given."""
+    p = (1 + np.sum(null >= gain)) / (1 + len(null))
+    return float(p * np.exp(-0.5 * max(gain - null.max(), 0.0) / unit))
+
+
+def verdict(probability: Mapping[str, float]) -> str:
+    """The answer that the probabilities give."""
+    last = {i: probability[i] for i in ("no_gap", "parameters_only", "unlisted_effect")}
+    listed = sum(p for i, p in probability.items() if i not in last)
+    name, most = max(last.items(), key=lambda x: x[1])
+    return "listed_effect" if listed > most else name
+
+
+def equivalents(left: Mapping[str, float], main: str, unit: float) -> list[str]:
+    """The candidates that leave no more than chance and `ALIKE` above what the main one leaves; itself first."""
+    least = max(left[main], 0.0)
+    near = [i for i, x in left.items() if i != main and max(x, 0.0) <= ALIKE * least + 0.004 + 12 * unit]
+    return [main, *sorted(near, key=lambda i: left[i])]
+
+
+def pairs_worth(first: float, second: float, unit: float) -> bool:
+    """Whether a further effect is worth having: it takes half of what is left, and a share of the gap that matters."""
+    return first - second > max(0.5 * first, 0.05, 15 * unit)
+
+
+def closed(before: float, after: float, floor: float) -> float | None:
+    """1 − (after² − floor²)/(before² − floor²); None where `before` is within a tenth of the floor."""
+    return None if before <= 1.1 * floor else float(1 - (after**2 - floor**2) / (before**2 - floor**2))
+
+
+def interval(
+    before: np.ndarray, after: np.ndarray, floor: np.ndarray, picked: int, rng: np.random.Generator, draws: int = 4000
+) -> tuple[float, float] | None:
+    """95 % interval of the closed fraction on `picked` runs, from the squared errors (R,) of all runs."""
+    index = rng.integers(0, len(before), (draws, max(picked, 1)))
+    gap = (before - floor)[index].sum(axis=1)
+    left = (after - floor)[index].sum(axis=1)
+    good = gap > 0
+    if good.sum() < draws // 2:
+        return None
+    low, high = np.quantile(1 - left[good] / gap[good], [0.025, 0.975])
+    return float(low), float(high)
+
+
+def main_of(probability: Mapping[str, float], candidates: Sequence[str]) -> str:
+    """The most probable of them."""
+    return max(candidates, key=lambda i: probability[i])

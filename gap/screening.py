@@ -1,0 +1,244 @@
+"""All candidates at once by one Jacobian: how much each would gain, which look alike, how small one could be seen.
+
+The residuals' derivatives by every effect's parameters at their nulls, with the base's own and the starting angles
+projected off, are a score test: to first order they give each candidate's gain with the base refitted, the angle
+between two candidates' traces, and the distribution of the largest gain where there is no effect at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from ljjax.effect import Effect
+from ljjax.fit.coordinates import Coordinates
+from ljjax.fit.dynamic import Problem, Round, Search, bandwidth
+from ljjax.fit.shooting import Asking
+from ljjax.fit.windows import Motion, cut
+from ljjax.gap.candidates import path, pilots, sizes
+from ljjax.model import Model, limits, replace
+
+ROOM = 20
+"""Columns that fit in one program."""
+DRAWS = 2000
+
+
+@dataclass(frozen=True)
+class Column:
+    """One derivative: effect, which of its forms, parameter, unit, the null's distance to its bounds, typical size."""
+
+    id: str
+    form: int
+    name: str
+    low: float
+    high: float
+    scale: float
+
+
+@dataclass(frozen=True, eq=False)
+class Screen:
+    """What the Jacobian says.
+
+    Attributes:
+        columns: (m) what each column is; `forms` values of the forms by (effect, form).
+        gram: (m, m) and `score` (m,): JᵀJ and Jᵀr of the projected columns, residuals in units of their own RMS.
+        gains: by (effect, form), the drop of χ² to first order.
+        steps: by (effect, form), parameter → value at that gain.
+        base_step: by (effect, form), (k,) how far the base's coordinates move along.
+        angle: by (effect, form) pairs, cosine of the angle between the traces.
+    """
+
+    columns: Sequence[Column]
+    forms: Mapping[tuple[str, int], Mapping[str, float]]
+    gram: np.ndarray
+    score: np.ndarray
+    sigma: np.ndarray
+    gains: Mapping[tuple[str, int], float]
+    steps: Mapping[tuple[str, int], Mapping[str, float]]
+    base_step: Mapping[tuple[str, int], np.ndarray]
+
+    def of(self, key: tuple[str, int]) -> list[int]:
+        """The columns of an effect's form."""
+        return [i for i, c in enumerate(self.columns) if (c.id, c.form) == key]
+
+    def best(self, effect: str) -> tuple[str, int]:
+        """The form of an effect that gains most."""
+        return max((k for k in self.gains if k[0] == effect), key=lambda k: self.gains[k])
+
+    @property
+    def ids(self) -> list[str]:
+        return list(dict.fromkeys(c.id for c in self.columns))
+
+    def alike(self, a: tuple[str, int], b: tuple[str, int]) -> float:
+        """Cosine of the least angle between the traces of two candidates, 1 for traces that cannot be told apart."""
+        i, j = self.of(a), self.of(b)
+        ra, rb = _root(self.gram[np.ix_(i, i)]), _root(self.gram[np.ix_(j, j)])
+        if ra is None or rb is None:
+            return 0.0
+        cosines = np.linalg.svd(ra @ self.gram[np.ix_(i, j)] @ rb.T, compute_uv=False)
+        return float(min(cosines.max(), 1.0))
+
+    def null(self, rng: np.random.Generator) -> np.ndarray:
+        """(DRAWS,) the largest gain of any candidate in data without an effect, for white noise of variance 1."""
+        values, vectors = np.linalg.eigh(self.gram)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        draws = root @ rng.standard_normal((len(self.columns), DRAWS))
+        return np.max([self._gain(k, draws) for k in self.gains], axis=0)
+
+    def _gain(self, key: tuple[str, int], score: np.ndarray) -> np.ndarray:
+        """(D,) the drop of χ² that scores (m, D) promise a candidate."""
+        i = self.of(key)
+        root = _root(self.gram[np.ix_(i, i)])
+        if root is None:
+            return np.zeros(score.shape[1])
+        own = score[i].copy()
+        if len(i) == 1:  # on the wrong side of a bound nothing is gained
+            c = self.columns[i[0]]
+            own = np.where((own > 0) & (c.high <= 0) | (own < 0) & (c.low >= 0), 0.0, own)
+        return np.sum((root @ own) ** 2, axis=0)
+
+    def detectable(self, key: tuple[str, int], noise: float, sigmas: float = 3.5) -> tuple[str, float]:
+        """The first parameter of a candidate and the size that stands out by so many standard deviations, for noise of
+        so large a standard deviation in units of the residuals' RMS."""
+        i = self.of(key)[0]
+        information = self.gram[i, i]
+        return self.columns[i].name, float(sigmas * noise / np.sqrt(information)) if information > 1e-9 else np.inf
+
+
+def _root(gram: np.ndarray) -> np.ndarray | None:
+    """R with RᵀR = gram⁻¹ over the directions that gram holds; None for none."""
+    values, vectors = np.linalg.eigh(gram)
+    keep = values > 1e-8 * max(values.max(initial=0.0), 1e-300)
+    if not keep.any() or values.max() < 1e-10:
+        return None
+    return (vectors[:, keep] / np.sqrt(values[keep])).T
+
+
+def screen(
+    model: Model,
+    names: Sequence[str],
+    kinds: Sequence[type[Effect]],
+    motions: Sequence[Motion],
+    span: Mapping[str, float],
+    pressure: float,
+    how: Round,
+) -> tuple[list[Asking[Search]], list[list[Column]], dict[tuple[str, int], dict[str, float]]]:
+    """The searches to run side by side, and what each one's last columns are: `gather` makes a Screen of them."""
+    free = {n.split(".")[1] for n in names if n.startswith("effects.")}
+    logged = motions[0].y.shape[1]
+    forms: dict[tuple[str, int], dict[str, float]] = {}
+    bins: list[dict[str, tuple[int, list[Column]]]] = []
+    within = limits(model)
+    for kind in kinds:
+        if kind.id in free:
+            continue
+        about = kind.fields()
+        for form, values in enumerate(pilots(kind, span)):
+            forms[kind.id, form] = values
+            columns = []
+            for name in sizes(kind, model.n, logged):
+                low, high = within[path(kind, name)]
+                null = about[name]["null"]
+                columns.append(Column(kind.id, form, name, low - null, high - null, about[name]["scale"]))
+            for b in bins:
+                if kind.id not in b and sum(len(c) for _, c in b.values()) + len(columns) <= ROOM:
+                    b[kind.id] = form, columns
+                    break
+            else:
+                bins.append({kind.id: (form, columns)})
+    windows = cut(motions, how.step_s)
+    like = Coordinates(model, names, pressure)
+    asked, said = [_look(Search(Problem(like, motions), windows, how))], [[]]
+    for b in bins:
+        values = {f"effects.{i}.{n}": x for i, (form, _) in b.items() for n, x in forms[i, form].items()}
+        columns = [c for _, own in b.values() for c in own]
+        like = replace(model, values)
+        coordinates = Coordinates(like, [f"effects.{c.id}.{c.name}" for c in columns], pressure)
+        asked.append(_look(Search(Problem(coordinates, motions), windows, how)))
+        said.append(columns)
+    return asked, said, forms
+
+
+def _look(search: Search) -> Asking[Search]:
+    yield from search.look(search.problem.coordinates.start)
+    return search
+
+
+def gather(
+    searches: Sequence[Search], said: Sequence[Sequence[Column]], forms: Mapping[tuple[str, int], Mapping[str, float]]
+) -> Screen:
+    """One Jacobian out of many."""
+    columns = [c for own in said for c in own]
+    first = searches[0]
+    base, r, sigma = _projected(first)
+    count = base.shape[2]
+    own = [_projected(s, first)[0] for s in searches[1:]]
+    extra = np.concatenate(own, axis=2)
+    n, c, m = extra.shape
+    flat_base, flat, flat_r = base.reshape(n * c, count), extra.reshape(n * c, m), r.reshape(-1)
+    q, triangle = np.linalg.qr(flat_base)
+    along = q.T @ flat
+    flat = flat - q @ along
+    flat_r = flat_r - q @ (q.T @ flat_r)
+    gram, score = flat.T @ flat, flat.T @ flat_r
+    inverse = np.linalg.pinv(triangle)
+    gains, steps, base_steps = {}, {}, {}
+    keys = list(dict.fromkeys((x.id, x.form) for x in columns))
+    for key in keys:
+        i = [j for j, x in enumerate(columns) if (x.id, x.form) == key]
+        low, high = (np.array([getattr(columns[j], side) for j in i]) for side in ("low", "high"))
+        size = np.array([columns[j].scale for j in i])
+        g = gram[np.ix_(i, i)] * np.outer(size, size)
+        x = np.zeros(len(i))
+        if np.trace(g) > 1e-9:
+            root = np.linalg.cholesky(g + 1e-9 * np.trace(g) * np.eye(len(i))).T
+            target = np.linalg.solve(root.T, score[i] * size)
+            bounds = (np.minimum(low / size, -1e-12), np.maximum(high / size, 1e-12))
+            x = lsq_linear(root, target, bounds=bounds).x * size
+        gains[key] = float(2 * score[i] @ x - x @ gram[np.ix_(i, i)] @ x)
+        steps[key] = {columns[j].name: float(v) for j, v in zip(i, x, strict=True)}
+        base_steps[key] = inverse @ (q.T @ r.reshape(-1) - along[:, i] @ x)
+    return Screen(columns, forms, gram, score, sigma, gains, steps, base_steps)
+
+
+def _projected(search: Search, scaled_by: Search | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns (N, c, m) and residuals (N, c) in units of the residuals' RMS, robustly weighted, the starting angles
+    projected off."""
+    point = search.point
+    assert point is not None
+    reference = scaled_by or search
+    assert reference.point is not None
+    scale = reference._scale(reference.point)
+    root = np.sqrt(scale.weight) / scale.sigma
+    along = point.answer.jacobian[..., -1] * root
+    error = (search.windows.y - point.answer.predicted) * root
+    columns = point.answer.jacobian[..., :-1] * root[..., None]
+    group = search.sample_group
+    total = np.bincount(group, np.sum(along**2, axis=1), search.groups) + 1 / search.offset_sd**2
+    shares = np.stack(
+        [
+            np.bincount(group, np.sum(along * columns[..., i], axis=1), search.groups) / total
+            for i in range(columns.shape[2])
+        ],
+        axis=1,
+    )
+    own = np.bincount(group, np.sum(along * error, axis=1), search.groups) / total
+    columns = columns - along[..., None] * shares[group][:, None, :]
+    return columns.astype(float), error - along * own[group][:, None], scale.sigma
+
+
+def colour(error: np.ndarray, run: np.ndarray) -> float:
+    """By how much the residuals' (N, c) colour widens the variance of a mean: 1 for white ones."""
+    total = white = 0.0
+    for r in np.unique(run):
+        e = error[run == r]
+        e = e - e.mean(axis=0)
+        lags = min(bandwidth(e.mean(axis=1)), len(e) // 4)
+        white += float(np.sum(e * e))
+        total += float(np.sum(e * e))
+        for lag in range(1, lags + 1):
+            total += 2 * (1 - lag / (lags + 1)) * float(np.sum(e[lag:] * e[:-lag]))
+    return max(total / max(white, 1e-300), 1.0)

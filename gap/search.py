@@ -1,0 +1,234 @@
+"""Base and candidates refitted side by side: singles, pairs, a third effect; and what they say of runs not fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ljjax.effect import Effect
+from ljjax.fit.coordinates import Coordinates
+from ljjax.fit.dynamic import HUBER, Estimate, Problem, Round, Search, estimate
+from ljjax.fit.shooting import TILE, Asking, together
+from ljjax.fit.windows import Motion, cut
+from ljjax.gap import screening
+from ljjax.gap.candidates import Trial, path, universal
+from ljjax.gap.screening import Screen
+from ljjax.model import Model, limits, replace
+
+BASE = (Round(0.01, False, np.inf, 2 * TILE, 0.1, 1e-2), Round(0.01, True, 3e-5, 1_000_000, 0.1, 1e-4))
+QUICK = Round(0.01, True, np.inf, 1_000_000, 0.5, 2e-4, onward=True)
+"""How candidates are compared: free runs one window after the other, at the longest step that is as good as noise."""
+FIRST, LAST, WHOLE = 3, 5, 15
+"""Iterations for all candidates, more of them for the best, and for the answer."""
+Tell = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """A trial refitted.
+
+    Attributes:
+        trial: which effects were free.
+        estimate: what came of it.
+        loss: (R,) sum of squared residuals of each run in units of the noise, gross outliers counted less.
+    """
+
+    trial: Trial
+    estimate: Estimate
+    loss: np.ndarray
+
+    @property
+    def total(self) -> float:
+        return float(self.loss.sum())
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        return self.trial.ids
+
+    @property
+    def model(self) -> Model:
+        return self.estimate.model
+
+    def values(self, effect: str) -> dict[str, tuple[float, float]]:
+        """Value and standard deviation of an effect's free parameters, by name."""
+        c = self.estimate.problem.coordinates
+        slope = c.jacobian(self.estimate.x)
+        covariance = slope @ self.estimate.covariance @ slope.T
+        physical = c.physical(self.estimate.x)
+        start = f"effects.{effect}."
+        return {
+            n.removeprefix(start): (float(physical[i]), float(np.sqrt(max(covariance[i, i], 0.0))))
+            for i, n in enumerate(c.names)
+            if n.startswith(start)
+        }
+
+
+@dataclass(eq=False)
+class Study:
+    """One robot's training runs, its base parameters and the candidates.
+
+    Attributes:
+        names: the base's free parameters, by path.
+        kinds: the effects on trial.
+        noise: (c,) standard deviation of the measurements' white noise [rad].
+    """
+
+    start: Model
+    names: tuple[str, ...]
+    kinds: Sequence[type[Effect]]
+    motions: Sequence[Motion]
+    pressure: float
+    span: Mapping[str, float]
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    tell: Tell | None = None
+    unit: np.ndarray | None = None
+
+    @property
+    def noise(self) -> np.ndarray:
+        return np.sqrt(np.mean([m.noise**2 for m in self.motions], axis=0))
+
+    def base(self) -> Refit:
+        """The base refitted from the given model, as `ljjax fit` does but for its last round."""
+        problem = Problem(
+            Coordinates(self.start, self.names, self.pressure), self.motions, (), self.priors, self.bounds
+        )
+        (found,) = together([estimate(problem, None, BASE)], self._tell("base"))
+        if not isinstance(found, Estimate):
+            raise found
+        self.unit = np.maximum(found.sigma, self.noise)
+        return Refit(Trial(), found, self.loss(found))
+
+    def refit(
+        self,
+        like: Model,
+        trials: Sequence[Trial],
+        steps: Mapping[Trial, np.ndarray] | None = None,
+        stage: str = "candidates",
+        finish: int = 1,
+    ) -> list[Refit]:
+        """Base and effects of each trial refitted together, all trials side by side, from the model `like`; `steps`
+        are first moves of the base's coordinates. A few iterations for all of them, more for the `finish` best.
+        Trials that fail are left out."""
+        first = self._refit([self._begun(like, t) for t in trials], trials, steps or {}, FIRST, stage)
+        order = sorted(first, key=lambda r: r.total)
+        best = [r for r in order[:finish] if not r.estimate.converged]
+        if best:
+            again = self._refit([r.model for r in best], [r.trial for r in best], {}, LAST, stage + ", the best")
+            better = {id(r.trial): r for r in again}
+            first = [min((r, better.get(id(r.trial), r)), key=lambda x: x.total) for r in first]
+        return first
+
+    def polished(self, refit: Refit) -> Refit:
+        """A refit taken to its end."""
+        if refit.estimate.converged:
+            return refit
+        found = self._refit([refit.model], [refit.trial], {}, WHOLE, "the answer")
+        return min((refit, *found), key=lambda r: r.total)
+
+    def _begun(self, like: Model, trial: Trial) -> Model:
+        whole = universal(like, self.kinds)
+        known = {f"effects.{e.id}.{n}": float(getattr(e, n)) for e in like.effects for n in e.fields()}
+        own = {p: x for p, x in known.items() if p.split(".")[1] in trial.ids}
+        return replace(whole, {**own, **_inside(trial.start, limits(whole))})
+
+    def _refit(
+        self,
+        begun: Sequence[Model],
+        trials: Sequence[Trial],
+        steps: Mapping[Trial, np.ndarray],
+        iterations: int,
+        stage: str,
+    ) -> list[Refit]:
+        asked = []
+        for model, trial in zip(begun, trials, strict=True):
+            names = [*self.names, *trial.start]
+            c = Coordinates(model, names, self.pressure)
+            x = c.start.copy()
+            if trial in steps:
+                most = 0.25 * c.spread[: len(self.names)]
+                x[: len(self.names)] += np.clip(steps[trial], -most, most)
+            problem = Problem(c, self.motions, (), self.priors, self.bounds)
+            asked.append(estimate(problem, x if c.admissible(x) else c.start, (QUICK,), iterations))
+        found = together(asked, self._tell(stage))
+        return [Refit(t, f, self.loss(f)) for t, f in zip(trials, found, strict=True) if isinstance(f, Estimate)]
+
+    def loss(self, found: Estimate) -> np.ndarray:
+        """(R,) squared residuals in units of the base's own, beyond `HUBER` of them counted linearly."""
+        assert self.unit is not None
+        x = np.abs(found.error / self.unit)
+        cost = np.where(x <= HUBER, x**2, 2 * HUBER * x - HUBER**2).sum(axis=1)
+        return np.bincount(found.windows.sample_run, cost, len(found.problem.motions))
+
+    def floor(self, count: int) -> float:
+        """What `loss` would be for the measurements' white noise alone, over so many samples."""
+        assert self.unit is not None
+        return float(count * np.sum((self.noise / self.unit) ** 2))
+
+    def screen(self, from_: Refit) -> Screen:
+        """Every effect that is not in a refit, on top of it."""
+        chosen = [f"effects.{i}.{n}" for i in from_.ids for n in self._free(i, from_)]
+        asked, said, forms = screening.screen(
+            self._whole(from_.model), [*self.names, *chosen], self.kinds, self.motions, self.span, self.pressure, QUICK
+        )
+        found = together(asked, self._tell("screening"))
+        for f in found:
+            if isinstance(f, Exception):
+                raise f
+        return screening.gather([f for f in found if isinstance(f, Search)], said, forms)
+
+    def trial(self, screen: Screen, key: tuple[str, int], onto: Refit | None = None) -> tuple[Trial, np.ndarray]:
+        """The trial that starts where a screen points, and how far the base moves along."""
+        kind = next(k for k in self.kinds if k.id == key[0])
+        start = {path(kind, n): x for n, x in screen.steps[key].items()}
+        start |= {path(kind, n): x for n, x in screen.forms[key].items()}
+        ids, before, count = (key[0],), {}, len(self.names)
+        if onto is not None and onto.ids:
+            ids = (*onto.ids, key[0])
+            before = {p: float(x) for p, x in self._physical(onto).items() if p.startswith("effects.")}
+        return Trial(ids, {**before, **start}), screen.base_step[key][:count]
+
+    def _free(self, effect: str, refit: Refit) -> list[str]:
+        return [p.split(".")[2] for p in refit.trial.start if p.split(".")[1] == effect]
+
+    @staticmethod
+    def _physical(refit: Refit) -> dict[str, float]:
+        c = refit.estimate.problem.coordinates
+        return dict(zip(c.names, c.physical(refit.estimate.x), strict=True))
+
+    def predict(self, refits: Sequence[Refit], motions: Sequence[Motion]) -> list[Estimate]:
+        """What refits say of other runs, without fitting anything to them."""
+        asked = []
+        for r in refits:
+            c = r.estimate.problem.coordinates
+            asked.append(
+                _seen(
+                    Search(
+                        Problem(Coordinates(self._whole(r.model), c.names, self.pressure), motions),
+                        cut(motions, QUICK.step_s),
+                        QUICK,
+                    )
+                )
+            )
+        found = together(asked, self._tell("unseen runs"))
+        for f in found:
+            if isinstance(f, Exception):
+                raise f
+        return [f for f in found if isinstance(f, Estimate)]
+
+    def _whole(self, model: Model) -> Model:
+        return model if model.effects else universal(model, self.kinds)
+
+    def _tell(self, stage: str) -> Callable[[int, int], None]:
+        return lambda done, count: self.tell(stage, done, count) if self.tell else None
+
+
+def _seen(search: Search) -> Asking[Estimate]:
+    yield from search.look(search.problem.coordinates.start)
+    return search.result([])
+
+
+def _inside(values: Mapping[str, float], within: Mapping[str, tuple[float, float]]) -> dict[str, float]:
+    return {p: float(np.clip(x, *within[p])) if p in within else x for p, x in values.items()}

@@ -1,0 +1,116 @@
+"""Where the gap lies: along pressure, angle, rate, direction, load, time, run and segment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ljjax.fit.dynamic import Estimate
+from ljjax.gap.result import Region
+
+UNITS = {
+    "pressure": "kPa",
+    "angle": "rad",
+    "rate": "rad/s",
+    "direction": "1",
+    "load": "N",
+    "time": "s",
+    "run": "1",
+    "segment": "1",
+    "everywhere": "1",
+}
+BINS, MOST = 12, 0.8
+"""An axis is cut into so many bins of equally many samples; a range is the shortest with this share of the gap."""
+
+
+def coordinates(found: Estimate) -> dict[str, np.ndarray]:
+    """(N,) where each sample lies along every axis but `segment`."""
+    windows = found.windows
+    motions = found.problem.motions
+    theta = windows.y.mean(axis=1)
+    out = {name: np.zeros(len(theta)) for name in UNITS if name not in ("segment", "everywhere")}
+    first = min(m.run.t0_ns for m in motions)
+    for i, m in enumerate(motions):
+        mine = np.flatnonzero(windows.sample_run == i)
+        t = windows.sample_t[mine]
+        index = np.clip(np.searchsorted(m.input_t, t, side="right") - 1, 0, len(m.input_t) - 1)
+        smooth = _smooth(theta[mine])
+        rate = np.gradient(smooth, t)
+        out["pressure"][mine] = m.vacuum[index]
+        out["angle"][mine] = smooth
+        out["rate"][mine] = np.abs(rate)
+        out["direction"][mine] = np.where(np.abs(rate) < 0.005, 0.0, np.sign(rate * smooth))
+        out["load"][mine] = np.abs(m.tendons[index, 0] - m.tendons[index, 1])
+        out["time"][mine] = (m.run.t0_ns - first) * 1e-9 + t
+        out["run"][mine] = i
+    return out
+
+
+def _smooth(x: np.ndarray, width: int = 9) -> np.ndarray:
+    return np.convolve(np.pad(x, width // 2, mode="edge"), np.ones(width) / width, mode="valid")
+
+
+def region(block: str, channel: str, axis: str, place: np.ndarray | None, gap: np.ndarray, share: float) -> Region:
+    """The shortest range of an axis that holds most of a gap (N, c), `place` (N,) its samples along it."""
+    squared = gap**2
+    if axis == "everywhere" or not squared.sum():
+        return Region(block, channel, axis, (0.0, 0.0), UNITS[axis], share)
+    if axis == "segment" or place is None:
+        weight = squared.sum(axis=0)
+        low, high = _shortest(weight, np.ones(len(weight)))
+        return Region(block, channel, "segment", (low + 1.0, high + 1.0), "1", share)
+    edges = np.unique(np.quantile(place, np.linspace(0, 1, BINS + 1)))
+    if len(edges) < 3:
+        return Region(block, channel, axis, (float(place.min()), float(place.max())), UNITS[axis], share)
+    index = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, len(edges) - 2)
+    weight = np.bincount(index, squared.sum(axis=1), len(edges) - 1)
+    low, high = _shortest(weight, np.diff(edges))
+    return Region(block, channel, axis, (float(edges[low]), float(edges[high + 1])), UNITS[axis], share)
+
+
+def _shortest(weight: np.ndarray, width: np.ndarray) -> tuple[int, int]:
+    """First and last bin of the shortest stretch that holds `MOST` of the weight."""
+    best = (0, len(weight) - 1)
+    for a in range(len(weight)):
+        total = np.cumsum(weight[a:])
+        enough = np.flatnonzero(total >= MOST * weight.sum())
+        if len(enough):
+            b = a + int(enough[0])
+            if width[a : b + 1].sum() < width[best[0] : best[1] + 1].sum():
+                best = (a, b)
+    return best
+
+
+def concentration(place: np.ndarray, gap: np.ndarray) -> float:
+    """How much more of a gap (N, c) some bins of an axis hold than others: share of its squares' variance explained."""
+    squared = (gap**2).sum(axis=1)
+    edges = np.unique(np.quantile(place, np.linspace(0, 1, BINS + 1)))
+    if len(edges) < 3 or not squared.var():
+        return 0.0
+    index = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, len(edges) - 2)
+    count = np.bincount(index, minlength=len(edges) - 1)
+    mean = np.bincount(index, squared, len(edges) - 1) / np.maximum(count, 1)
+    return float(np.sum(count * (mean - squared.mean()) ** 2) / (len(squared) * squared.var()))
+
+
+def places(
+    found: Estimate, channel: str, contributions: Sequence[tuple[str, Sequence[str], np.ndarray]]
+) -> list[Region]:
+    """Regions of what effects contribute (N, c): (block, axes, contribution), the largest share first."""
+    along = coordinates(found)
+    total = sum(float((c**2).sum()) for _, _, c in contributions) or 1.0
+    out = []
+    for block, axes, c in contributions:
+        share = float((c**2).sum()) / total
+        for k, axis in enumerate(axes[:3]):
+            out.append(region(block, channel, axis, along.get(axis), c, round(share * 0.6**k, 4)))
+    whole = sum(r.share for r in out) or 1.0
+    out = [Region(r.block, r.channel, r.axis, r.range, r.unit, r.share / whole) for r in out]
+    return sorted(out, key=lambda r: -r.share)
+
+
+def loudest(found: Estimate, gap: np.ndarray) -> list[str]:
+    """Axes along which a gap (N, c) is most concentrated, the first the most."""
+    along = coordinates(found)
+    return sorted(along, key=lambda axis: -concentration(along[axis], gap))
