@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 OCTROBOT := ljjax/data/octrobot
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check data recovery bench clean
+.PHONY: help setup demo test check data recovery blind bench clean
 
 help: ## what this file can do
 	@sed -n 's/^\([a-z]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -21,8 +21,9 @@ help: ## what this file can do
 
 setup: .venv/.ready ## the pinned environment in .venv
 
-demo: .venv/.ready ## identify OctRobot-I from its published measurements; writes out/demo/
+demo: .venv/.ready ## identify and diagnose OctRobot-I from its published measurements; writes out/demo/
 	@$(BIN)/ljjax fit $(OCTROBOT)/identification.mcap $(OCTROBOT)/open_loop_stiffness.mcap --out out/demo/fit
+	@$(BIN)/ljjax gap $(OCTROBOT)/identification.mcap $(OCTROBOT)/open_loop_stiffness.mcap --out out/demo/gap
 
 check: .venv/.ready ## formatting, lint and types
 	$(BIN)/ruff format --check .
@@ -37,6 +38,9 @@ data: .venv/.ready ## make the bundled MCAP logs anew from the published tables
 
 recovery: .venv/.ready ## identify 40 simulated robots and compare with the truth; writes out/recovery/
 	$(BIN)/python -m benchmarks.recovery.study
+
+blind: .venv/.ready ## diagnose robots whose effect is sealed, and score the answers; writes out/blind/
+	$(BIN)/python -m benchmarks.blind.study --cases 40
 
 .venv/.bench: .venv/.ready
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test,bench]"

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -71,8 +72,8 @@ class Coordinates:
         return len(self.names)
 
     def model(self, x: np.ndarray) -> Model:
-        """The model at x (k,), its free parameters as NumPy scalars."""
-        return _with(self.like, self.names, list(self.physical(x)))
+        """The model at x (k,)."""
+        return _with(self.like, self.names, [jnp.asarray(v) for v in self.physical(x)])
 
     def physical(self, x: np.ndarray) -> np.ndarray:
         """(k,) the free parameters at x, in their units."""
@@ -107,7 +108,7 @@ class Coordinates:
         return float(passivity_margin(model)) >= -1e-9 or set(GROUPS[2]) <= set(self.names)
 
 
-def _with(model: Model, names: Sequence[str], values: Sequence[np.ndarray]) -> Model:
+def _with(model: Model, names: Sequence[str], values: Sequence[Any]) -> Model:
     return eqx.tree_at(lambda m: [leaf(m, p) for p in names], model, list(values)) if names else model
 
 

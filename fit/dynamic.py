@@ -345,7 +345,9 @@ class Search:
                         break
                 damping = max(damping, 1e-6) * 8
                 rejected += 1
-                if damping > 1e8 or (rejected >= 2 and gain < max(1.0, self.how.share * chi2)):  # nothing left but the kinks' roughness
+                if damping > 1e8 or (
+                    rejected >= 2 and gain < max(1.0, self.how.share * chi2)
+                ):  # nothing left but the kinks' roughness
                     converged = True
                     break
             if converged:

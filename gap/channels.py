@@ -110,7 +110,8 @@ def _acts(kind: type[Effect], hook: str) -> bool:
 
 
 def _channel(name: str, signal: str, motions: Sequence[Motion], kinds: Sequence[type[Effect]]) -> Channel:
-    runs = [_Sampled(m, signal) for m in motions]
+    longest = max(float(m.run.signals[signal].t[-1] - m.input_t[0]) for m in motions)
+    runs = [_Sampled(m, signal, int(np.ceil(longest / STEP_S)) + 1) for m in motions]
     noise = np.sqrt(np.mean([r.noise**2 for r in runs]))
     y = np.concatenate([r.y.ravel() for r in runs])
     weight = 1 / max(float(noise), 1e-6)
@@ -170,14 +171,13 @@ def _explained(
 class _Sampled:
     """One run's measured input at its stamps, and what its command and an effect make of it."""
 
-    def __init__(self, m: Motion, signal: str):
+    def __init__(self, m: Motion, signal: str, count: int):
         s = m.run.signals["tendons"] if signal == "tendons" else m.run.vacuum_kpa("pressure")
         self.signal, self.m = signal, m
         begin = max(float(m.input_t[0]), float(s.t[0]))
         keep = s.t >= begin
         self.t, self.y = s.t[keep], s.value[keep]
         self.noise = np.maximum(np.sqrt(np.mean(white_noise(self.y) ** 2)), 1e-6)
-        count = int(np.ceil((self.t[-1] - begin) / STEP_S)) + 1
         self.edges = begin + STEP_S * np.arange(count + 1)
         theta = np.stack([np.interp(self.edges[:-1], m.t, c) for c in m.y.T], axis=1)
         n = len(m.q0)

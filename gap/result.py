@@ -11,6 +11,7 @@ from typing import Any
 
 from ljjax import modelfile
 from ljjax.fit.record import plain
+from ljjax.gap.layout import layout
 from ljjax.logs import Run, Signal, copy_overlay
 from ljjax.modelfile import ModelFile
 from ljjax.outputs import artefacts
@@ -142,7 +143,7 @@ class Diagnosis:
         )
 
     def save(self, out: Any) -> None:
-        """Write gap.json, model.toml, base.toml, report.html and result.mcap into the folder `out`, whole or not at
+        """Write gap.json, model.toml, base.toml, report.html and result.mcap, foxglove.json into the folder `out`, whole or not at
         all."""
         data = self.as_dict()
         found = ", ".join(self.selected) or "no effect"
@@ -155,6 +156,7 @@ class Diagnosis:
             (made / "base.toml").write_text(modelfile.dumps(self.base, f"base refitted, {note}"), encoding="utf-8")
             (made / "report.html").write_text(self.report(data), encoding="utf-8")
             copy_overlay(self.runs, made / "result.mcap", self.overlays)
+            (made / "foxglove.json").write_text(json.dumps(layout(self.runs), indent=1) + "\n", encoding="utf-8")
 
     def report(self, data: Mapping[str, Any]) -> str:
         """The page, from the result and its gap.json content."""

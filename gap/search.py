@@ -17,7 +17,7 @@ from ljjax.gap.candidates import Trial, path, universal
 from ljjax.gap.screening import Screen
 from ljjax.model import Model, limits, replace
 
-BASE = (Round(0.01, False, np.inf, 2 * TILE, 0.1, 1e-2), Round(0.01, True, 3e-5, 1_000_000, 0.1, 1e-4))
+BASE = (Round(0.01, False, np.inf, 2 * TILE, 0.1, 1e-2), Round(0.01, True, 1e-4, 1_000_000, 0.5, 3e-4))
 QUICK = Round(0.01, True, np.inf, 1_000_000, 0.5, 2e-4, onward=True)
 """How candidates are compared: free runs one window after the other, at the longest step that is as good as noise."""
 FIRST, LAST, WHOLE = 3, 5, 15

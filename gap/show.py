@@ -20,9 +20,9 @@ WORDS = {
 }
 
 
-def show(found: Diagnosis, out: Path) -> None:
+def show(found: Diagnosis, out: Path, console: Console | None = None) -> None:
     """Print what was found, and where the rest is."""
-    console = Console()
+    console = console or Console()
     for line in found.warnings:
         console.print(f"[yellow]beware:[/] {line}", highlight=False, soft_wrap=True)
     words = WORDS[found.verdict]

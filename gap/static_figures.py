@@ -110,7 +110,7 @@ def ranking(result: Diagnosis) -> Figure:
     at = np.arange(len(first))
     colour = [ACCENT if f.id in result.selected else (MUTED if f.id in LAST else "#9fb6c6") for f in first]
     bars = ax.barh(at, [f.probability for f in first], 0.66, color=colour)
-    ax.bar_label(bars, [f"{100 * f.probability:.2g} %" for f in first], padding=3, fontsize=10, color=INK)
+    ax.bar_label(bars, [f"{100 * f.probability:.0f} %" for f in first], padding=3, fontsize=10, color=INK)
     ax.set_yticks(at, [plain(f.id) for f in first])
     ax.invert_yaxis()
     ax.set(xlabel="probability of being the main cause", xlim=(0, 1.12))

@@ -76,7 +76,7 @@ def _cards(story: Any, result: Diagnosis) -> list[tuple[str, str]]:
     gap = result.gap
     out = [
         (plain(result.verdict), "verdict"),
-        (f"{100 * first.probability:.2g} %", f"that {plain(first.id)} is the main cause"),
+        (f"{100 * first.probability:.0f} %", f"that {plain(first.id)} is the main cause"),
     ]
     for c in story.channels:
         keep = c.inner if c.kind == "steady" else None
@@ -161,12 +161,12 @@ def _effects(story: Any, result: Diagnosis) -> str:
         block = story.laws.kinds[f.id].block
         closed = None if f.closed_fraction is None else round(100 * min(max(f.closed_fraction, 0.0), 1.0), 0)
         rows.append([
-            plain(f.id), block, f"{100 * f.probability:.2g} %", number(closed), number(f.p_value, 2),
+            plain(f.id), block, f"{100 * f.probability:.0f} %", number(closed), number(f.p_value, 2),
             f'<span class="{"good" if why == "selected" else ""}">{why}</span>',
         ])  # fmt: skip
     for name in LAST:
         p = next(f.probability for f in result.effects if f.id == name)
-        rows.append([plain(name), "–", f"{100 * p:.2g} %", "–", "–", ""])
+        rows.append([plain(name), "–", f"{100 * p:.0f} %", "–", "–", ""])
     heads = ["cause", "block", "probability", "misfit closed by itself [%]", "p-value", ""]
     table = page.table(heads, rows, numeric=(2, 3, 4))
     words = ", ".join(plain(e) for e in sorted(nowhere))

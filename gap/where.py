@@ -20,8 +20,10 @@ UNITS = {
     "segment": "1",
     "everywhere": "1",
 }
-BINS, MOST = 12, 0.8
-"""An axis is cut into so many bins of equally many samples; a range is the shortest with this share of the gap."""
+BINS = 30
+"""An axis is cut into so many bins of equally many samples."""
+HOLDS = (0.9, 0.75, 0.6)
+"""A range is the shortest that holds so much of the gap: on the axis where an effect shows most plainly, on others."""
 
 
 def coordinates(found: Estimate) -> dict[str, np.ndarray]:
@@ -51,35 +53,38 @@ def _smooth(x: np.ndarray, width: int = 9) -> np.ndarray:
     return np.convolve(np.pad(x, width // 2, mode="edge"), np.ones(width) / width, mode="valid")
 
 
-def region(block: str, channel: str, axis: str, place: np.ndarray | None, gap: np.ndarray, share: float) -> Region:
-    """The shortest range of an axis that holds most of a gap (N, c), `place` (N,) its samples along it."""
+def region(
+    block: str, channel: str, axis: str, place: np.ndarray | None, gap: np.ndarray, share: float, holds: float
+) -> Region:
+    """The shortest range of an axis that holds so much of a gap (N, c), `place` (N,) its samples along it; `share` is
+    the gap's own in the whole."""
     squared = gap**2
     if axis == "everywhere" or not squared.sum():
         return Region(block, channel, axis, (0.0, 0.0), UNITS[axis], share)
     if axis == "segment" or place is None:
         weight = squared.sum(axis=0)
-        low, high = _shortest(weight, np.ones(len(weight)))
-        return Region(block, channel, "segment", (low + 1.0, high + 1.0), "1", share)
+        low, high, held = _shortest(weight, np.ones(len(weight)), holds)
+        return Region(block, channel, "segment", (low + 1.0, high + 1.0), "1", share * held)
     edges = np.unique(np.quantile(place, np.linspace(0, 1, BINS + 1)))
     if len(edges) < 3:
         return Region(block, channel, axis, (float(place.min()), float(place.max())), UNITS[axis], share)
     index = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, len(edges) - 2)
     weight = np.bincount(index, squared.sum(axis=1), len(edges) - 1)
-    low, high = _shortest(weight, np.diff(edges))
-    return Region(block, channel, axis, (float(edges[low]), float(edges[high + 1])), UNITS[axis], share)
+    low, high, held = _shortest(weight, np.diff(edges), holds)
+    return Region(block, channel, axis, (float(edges[low]), float(edges[high + 1])), UNITS[axis], share * held)
 
 
-def _shortest(weight: np.ndarray, width: np.ndarray) -> tuple[int, int]:
-    """First and last bin of the shortest stretch that holds `MOST` of the weight."""
+def _shortest(weight: np.ndarray, width: np.ndarray, holds: float) -> tuple[int, int, float]:
+    """First and last bin of the shortest stretch that holds so much of the weight, and what it holds."""
     best = (0, len(weight) - 1)
     for a in range(len(weight)):
         total = np.cumsum(weight[a:])
-        enough = np.flatnonzero(total >= MOST * weight.sum())
+        enough = np.flatnonzero(total >= holds * weight.sum())
         if len(enough):
             b = a + int(enough[0])
             if width[a : b + 1].sum() < width[best[0] : best[1] + 1].sum():
                 best = (a, b)
-    return best
+    return best[0], best[1], float(weight[best[0] : best[1] + 1].sum() / weight.sum())
 
 
 def concentration(place: np.ndarray, gap: np.ndarray) -> float:
@@ -103,10 +108,8 @@ def places(
     out = []
     for block, axes, c in contributions:
         share = float((c**2).sum()) / total
-        for k, axis in enumerate(axes[:3]):
-            out.append(region(block, channel, axis, along.get(axis), c, round(share * 0.6**k, 4)))
-    whole = sum(r.share for r in out) or 1.0
-    out = [Region(r.block, r.channel, r.axis, r.range, r.unit, r.share / whole) for r in out]
+        for axis, holds in zip(axes, HOLDS, strict=False):
+            out.append(region(block, channel, axis, along.get(axis), c, share, holds))
     return sorted(out, key=lambda r: -r.share)
 
 

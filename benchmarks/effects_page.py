@@ -1,0 +1,168 @@
+"""Makes docs/effects.md and docs/effects.png: every effect with its equation, parameters, trace and confusions.
+
+python -m benchmarks.effects_page
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks.recovery import logs
+from benchmarks.recovery.robots import draw
+from benchmarks.recovery.study import model_of
+from ljjax import fast
+from ljjax.cli import start_jax
+from ljjax.effects import BLOCKS, REGISTRY
+from ljjax.fit.run import prepared
+from ljjax.fit.shooting import together
+from ljjax.gap.candidates import universal
+from ljjax.gap.data import in_order, span
+from ljjax.gap.screening import Screen, gather, screen
+from ljjax.gap.search import QUICK
+from ljjax.inputs import Inputs
+from ljjax.logs import find, read_all
+from ljjax.model import Model, replace
+from ljjax.modelfile import ModelFile
+from ljjax.page import ACCENT, MUTED
+from ljjax.simulation import rest
+
+DOCS = Path(__file__).parents[1] / "docs"
+SECONDS, STEP_S = 8.0, 0.005
+ALIKE = 0.95
+SHOWN = {"actuator_saturation.limit_n": 12.0, "contact.angle_rad": 0.06, "actuator_ripple.waves": 25.0}
+SIZE = {
+    "actuator_delay": 0.15, "actuator_lag": 0.15, "sensor_delay": 0.15, "sensor_filter": 0.15, "pressure_lag": 0.5,
+    "tendon_slack": 3.0, "actuator_deadband": 3.0, "tip_payload": 0.3, "viscous_damping": 0.5, "layer_wear": 0.8,
+    "friction_asymmetry": 0.6, "load_dependent_friction": 1.0, "tendon_friction": 0.8, "viscoelastic_creep": 2.0,
+    "stiffness_hardening": 60.0, "layer_hysteresis": 0.02, "contact": 10.0, "pressure_leak": 0.7,
+    "gravity_distribution": 1.5,
+    "friction_saturation": 12.0, "stiffness_saturation": 2.0, "pressure_bias": 4.0, "actuator_ripple": 2.0,
+    "thermal_drift": -0.06, "nonuniform_stiffness": 0.6,
+}  # fmt: skip
+"""How large an effect is drawn, where its typical size would not be seen."""
+
+
+def standard() -> Inputs:
+    """Bend, vacuum, release, vent; then two triangles."""
+    t = np.arange(0, SECONDS, STEP_S)
+    at = [0, 0.3, 0.8, 2.0, 2.3, 4.0, 4.5, 5.0, 5.5, 6.0, 6.5, 7.0, 7.5]
+    net = np.interp(t, at, [0, 0, 20, 20, 0, 0, 16, -16, 16, -16, 0, 0, 0])
+    vacuum = np.interp(t, [1.2, 1.3, 3.2, 3.3], [0, 20, 20, 0])
+    u = 0.3 + np.stack([np.maximum(net, 0), np.maximum(-net, 0)], axis=1)
+    return Inputs(jnp.asarray(t), jnp.asarray(u), jnp.asarray(vacuum))
+
+
+def shown(model: Model, kind: Any) -> Model:
+    """The model with one effect large enough to see."""
+    first = kind.sizes()[0]
+    size = SIZE.get(kind.id, 2 * kind.fields()[first]["scale"])
+    values = {first: size} | {k.split(".")[1]: v for k, v in SHOWN.items() if k.startswith(kind.id + ".")}
+    if kind.id == "pressure_lag":
+        values["vent_s"] = size
+    return replace(model, {f"effects.{kind.id}.{name}": x for name, x in values.items()})
+
+
+def traces(model: Model) -> np.ndarray:
+    """(1 + effects, T) θ [deg] of the base and of each effect in the standard run."""
+    inputs = standard()
+    whole = universal(model, list(REGISTRY.values()))
+    models = [whole, *(shown(whole, kind) for kind in REGISTRY.values())]
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *models)
+    steps = round(SECONDS / STEP_S)
+    zero, h = jnp.asarray(0.0), jnp.asarray(STEP_S)
+
+    def one(m: Model) -> jax.Array:
+        return fast.run(m, inputs, rest(m, inputs), inputs.t, zero, h, steps, 3).seen.mean(axis=1)
+
+    return np.degrees(np.asarray(jax.jit(jax.vmap(one))(stacked)))
+
+
+def picture(theta: np.ndarray) -> None:
+    """docs/effects.png: a small panel an effect."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    t = np.asarray(standard().t)
+    figure, axes = plt.subplots(8, 4, figsize=(13, 17), sharex=True, sharey=True, layout="constrained")
+    for ax, kind, y in zip(axes.flat, REGISTRY.values(), theta[1:], strict=False):
+        ax.plot(t, theta[0], color=MUTED, lw=1)
+        ax.plot(t, y, color=ACCENT, lw=1.3)
+        ax.set_title(kind.id, fontsize=10)
+        ax.grid(alpha=0.25)
+    for ax in axes.flat[len(REGISTRY) :]:
+        ax.axis("off")
+    figure.supxlabel("time [s]")
+    figure.supylabel("mean segment angle as logged [°]; grey: without the effect")
+    figure.savefig(DOCS / "effects.png", dpi=80)
+
+
+def screened() -> Screen:
+    """The Jacobian of eight runs of a robot without an effect, whose six joint angles are logged."""
+    robot = draw(1)[0]
+    with tempfile.TemporaryDirectory() as folder:
+        list(logs.make([robot], Path(folder), 14.0, 0))
+        runs = read_all(find([str(Path(folder) / robot.robot_id / "train")]))
+        case = prepared(
+            ModelFile(model_of(robot.truth), frozen=robot.known), "truth", runs, (), robot.known, "commands"
+        )
+    assert not isinstance(case, list)
+    motions = in_order(case.problem.motions)
+    kinds = list(REGISTRY.values())
+    c = case.problem.coordinates
+    asked, said, forms = screen(universal(c.like, kinds), c.names, kinds, motions, span(motions), c.pressure, QUICK)
+    found = together(asked)
+    return gather([f for f in found if not isinstance(f, Exception)], said, forms)
+
+
+def page(found: Screen) -> str:
+    """docs/effects.md."""
+    out = [
+        "# Effects",
+        "",
+        "Made by `python -m benchmarks.effects_page`. An effect is a cause that the base model lacks. Each is one",
+        "small class in `ljjax/effects/`, vanishes exactly at the null values of its sizes, and can be put into any",
+        "`model.toml`; one of your own is a class in a file of yours ([example](../examples/own_effect.py)). Parameters",
+        "without a null say what form an effect has.",
+        "",
+        "![What each effect does to one run: bend, vacuum, release, vent, two triangles](effects.png)",
+        "",
+    ]
+    for block in BLOCKS:
+        out += [
+            f"## {block.capitalize()}",
+            "",
+            "| id | what | parameters [unit], null, bounds | looks like |",
+            "|---|---|---|---|",
+        ]
+        for kind in (k for k in REGISTRY.values() if k.block == block):
+            words = " ".join((kind.__doc__ or "").split()).replace("|", "\\|")
+            parameters = []
+            for name, about in kind.fields().items():
+                null = f", {about['null']:g}" if not about["pilots"] else ""
+                parameters.append(f"`{name}` [{about['unit']}]{null}, {about['low']:g} … {about['high']:g}")
+            others = [o for o in found.ids if o != kind.id]
+            near = sorted(((found.alike(found.best(kind.id), found.best(o)), o) for o in others), reverse=True)
+            like = ", ".join(f"`{o}` {c:.2f}" for c, o in near[:4] if c > ALIKE) or "–"
+            out.append(f"| `{kind.id}` | {words} | {'<br>'.join(parameters)} | {like} |")
+        out.append("")
+    out += [
+        "**Looks like**: cosine of the least angle between the traces of two effects at their nulls, the base's own",
+        "parameters projected off, in eight runs of a robot whose six joint angles are logged (1.00: these runs cannot",
+        "tell them apart; above 0.95 listed). Effects with several parameters are alike if any of their directions are.",
+    ]
+    return "\n".join(out) + "\n"
+
+
+if __name__ == "__main__":
+    start_jax()
+    picture(traces(model_of(draw(1)[0].truth)))
+    (DOCS / "effects.md").write_text(page(screened()), encoding="utf-8")
+    print(f"wrote {DOCS / 'effects.md'} and effects.png")

@@ -1,0 +1,132 @@
+"""A diagnosis end to end, on robots of the recovery study's plant; their effects are made here by hand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.recovery import logs
+from benchmarks.recovery.experiments import PERIOD_S, plan
+from benchmarks.recovery.plant import Plant
+from benchmarks.recovery.robots import draw
+from benchmarks.recovery.study import model_of
+from ljjax import modelfile
+from ljjax.cli import main
+from ljjax.logs import Writer, read
+from ljjax.modelfile import ModelFile
+from ljjax.replay import replay
+
+ROBOT, SECONDS = 1, 8.0
+"""θ is logged; all of the chain is known."""
+RUNS = (0, 1, 3, 5, 7)
+"""Of `plan`: locks, triangles, a multisine, pressure steps, tension steps."""
+
+
+def slow(pressure: np.ndarray, tau: float) -> np.ndarray:
+    """The vacuum in a sheath that fills and vents through a narrow line."""
+    out, level = np.empty_like(pressure), pressure[0]
+    for k, p in enumerate(pressure):
+        level += (p - level) * (1 - np.exp(-PERIOD_S / tau))
+        out[k] = level
+    return out
+
+
+def record(folder: Path, tau: float = 0.0) -> Path:
+    """Logs of the robot, with a sheath that follows its line with the time constant `tau` [s], and its wrong model."""
+    robot = draw(ROBOT + 1)[ROBOT]
+    experiments = plan(robot, SECONDS, seed=3)
+    plant = Plant({path: np.full(len(RUNS), value) for path, value in robot.truth.items()})
+    chosen = [experiments[i] for i in RUNS]
+    tendons = np.stack([e.tendons for e in chosen], axis=-1)
+    pressure = np.stack([slow(e.pressure_kpa, tau) if tau else e.pressure_kpa for e in chosen], axis=-1)
+    q = np.moveaxis(plant.run(tendons, pressure, PERIOD_S), -1, 0)
+    (folder / "train").mkdir(parents=True)
+    for k, experiment in enumerate(chosen):
+        with Writer(folder / "train" / f"run_{k:02d}.mcap", logs.metadata(robot, k, experiment.name)) as log:
+            logs._moving(log, robot, k, experiment, q[k], np.random.default_rng(k))
+    nominal = ModelFile(model_of(robot.start), frozen=robot.known)
+    (folder / "nominal.toml").write_text(modelfile.dumps(nominal))
+    return folder
+
+
+def diagnosed(folder: Path, *more: str) -> dict:
+    assert (
+        main(
+            ["gap", str(folder / "train"), "--model", str(folder / "nominal.toml"), "--out", str(folder / "out"), *more]
+        )
+        == 0
+    )
+    return json.loads((folder / "out" / "gap.json").read_text())
+
+
+def contract(data: dict) -> None:
+    """What contracts.md promises of gap.json."""
+    assert data["schema"] == "ljjax.gap/1"
+    assert data["verdict"] in ("listed_effect", "no_gap", "parameters_only", "unlisted_effect")
+    ids = [e["id"] for e in data["effects"]]
+    assert {"no_gap", "parameters_only", "unlisted_effect"} < set(ids) and len(ids) == len(set(ids))
+    chances = [e["probability"] for e in data["effects"]]
+    assert sum(chances) == pytest.approx(1.0) and chances == sorted(chances, reverse=True)
+    assert set(data["gap"]["held_out_runs"]) == {i["run_id"] for i in data["inputs"] if i["role"] == "held_out"}
+    assert [w["share"] for w in data["where"]] == sorted((w["share"] for w in data["where"]), reverse=True)
+    for effect in data["effects"]:
+        for value in effect["parameters"].values():
+            assert set(value) == {"value", "sd", "unit"}
+
+
+def test_a_slow_sheath_is_named_and_added(tmp_path, capsys):
+    folder = record(tmp_path / "robot", tau=0.35)
+    data = diagnosed(folder)
+    contract(data)
+    assert data["verdict"] == "listed_effect"
+    assert data["selected"] == ["pressure_lag"]
+    assert data["effects"][0]["id"] == "pressure_lag"
+    assert data["where"][0]["block"] == "jamming" and data["where"][0]["axis"] == "pressure"
+    lag = data["effects"][0]["parameters"]
+    assert lag["fill_s"]["value"] == pytest.approx(0.35, rel=0.1)
+    gap = data["gap"]
+    assert gap["before"] > 2 * gap["noise_floor"] and gap["closed_fraction"] > 0.9
+    assert gap["closed_fraction_ci95"][0] <= gap["closed_fraction"] <= gap["closed_fraction_ci95"][1]
+    assert "Cause: pressure_lag" in capsys.readouterr().out
+
+    # the files say the same: the extended model replays an unseen run better than the refitted base
+    held = next(i["file"] for i in data["inputs"] if i["role"] == "held_out")
+    errors = {}
+    for name in ("base", "model"):
+        model = modelfile.load(folder / "out" / f"{name}.toml")
+        assert [e.id for e in model.model.effects] == ([] if name == "base" else ["pressure_lag"])
+        assert (
+            main(["simulate", str(folder / "out" / f"{name}.toml"), held, "--out", str(tmp_path / f"{name}.mcap")]) == 0
+        )
+
+        residual = replay(model.model, read(held))["/residual"]["shape"].value
+        errors[name] = float(np.sqrt(np.mean(residual**2)))
+    assert errors["model"] < 0.6 * errors["base"]
+    assert errors["base"] == pytest.approx(gap["before"], rel=0.1)
+    assert (folder / "out" / "report.html").stat().st_size > 1000
+    assert (folder / "out" / "result.mcap").exists()
+
+
+def test_a_robot_without_an_effect_only_needs_its_parameters(tmp_path):
+    data = diagnosed(record(tmp_path / "robot"))
+    contract(data)
+    assert data["verdict"] == "parameters_only"
+    assert data["selected"] == []
+    assert data["gap"]["closed_fraction"] is None and data["gap"]["before"] < 1.1 * data["gap"]["noise_floor"]
+
+
+def test_bad_input_is_refused_by_name(tmp_path, capsys):
+    folder = record(tmp_path / "robot")
+    run = str(folder / "train" / "run_01.mcap")
+    given = ["--model", str(folder / "nominal.toml"), "--out", str(tmp_path / "out")]
+    for args, said in (
+        ([run, *given], "1 moving run: a diagnosis needs two or more"),
+        ([run, *given, "--without", "gremlins"], "--without gremlins: no such effect"),
+        ([run, *given, "--effects", str(tmp_path / "own.py")], "own.py: no such file"),
+    ):
+        assert main(["gap", *args]) == 2
+        assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
