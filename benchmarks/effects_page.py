@@ -129,8 +129,8 @@ def page(found: Screen) -> str:
         "",
         "Made by `python -m benchmarks.effects_page`. An effect is a cause that the base model lacks. Each is one",
         "small class in `ljjax/effects/`, vanishes exactly at the null values of its sizes, and can be put into any",
-        "`model.toml`; one of your own is a class in a file of yours ([example](../examples/own_effect.py)). Parameters",
-        "without a null say what form an effect has.",
+        "`model.toml`; one of your own is a class in a file of yours ([example](../examples/own_effect.py)).",
+        "Parameters without a null say what form an effect has.",
         "",
         "![What each effect does to one run: bend, vacuum, release, vent, two triangles](effects.png)",
         "",
@@ -156,7 +156,8 @@ def page(found: Screen) -> str:
     out += [
         "**Looks like**: cosine of the least angle between the traces of two effects at their nulls, the base's own",
         "parameters projected off, in eight runs of a robot whose six joint angles are logged (1.00: these runs cannot",
-        "tell them apart; above 0.95 listed). Effects with several parameters are alike if any of their directions are.",
+        "tell them apart; above 0.95 listed). Effects with several parameters are alike if any of their directions",
+        "are. What a short run does not show (a leak, wear, warming) looks flat in the picture.",
     ]
     return "\n".join(out) + "\n"
 

@@ -2,8 +2,8 @@
 
     ljjax gap runs/ --model model.toml --effects examples/own_effect.py --out out/gap
 
-puts it on trial beside the library's, without a change to the package. Where it is chosen, `model.toml` names this file,
-and simulate, fit and gap load it from there.
+puts it on trial beside the library's, without a change to the package. Where it is chosen, `model.toml` names this
+file, and simulate, fit and gap load it from there.
 """
 
 from __future__ import annotations
@@ -41,6 +41,6 @@ if __name__ == "__main__":
     t = jnp.array([0.0, 0.3, 2.0])
     push = jnp.array([[0.0] * 6, [0.5] + [0.0] * 5, [0.5] + [0.0] * 5])  # N·m, on the first segment alone
     inputs = ljjax.Inputs(t, jnp.zeros((3, 2)), jnp.zeros(3), push, hold=False)
-    for name, effects in (("without", ()), ("with", (SleeveCoupling(stiffness=1.0),))):
+    for name, effects in (("without", ()), ("with", (SleeveCoupling(jnp.asarray(1.0)),))):
         motion = ljjax.simulate(replace(bare, effects=effects), inputs)
         print(f"{name:>8} the sleeve: {jnp.degrees(motion.state.q[-1]).round(2)}°")

@@ -143,8 +143,8 @@ class Diagnosis:
         )
 
     def save(self, out: Any) -> None:
-        """Write gap.json, model.toml, base.toml, report.html and result.mcap, foxglove.json into the folder `out`, whole or not at
-        all."""
+        """Write gap.json, model.toml, base.toml, report.html, result.mcap and foxglove.json into the folder `out`, all
+        of them or none."""
         data = self.as_dict()
         found = ", ".join(self.selected) or "no effect"
         with artefacts(out, keep=[run.path for run in self.runs]) as made:

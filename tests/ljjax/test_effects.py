@@ -107,7 +107,7 @@ def test_parameters_have_units_bounds_and_paths(everything):
 
 
 def test_a_model_file_holds_effects(tmp_path, robot):
-    lag, bias = REGISTRY["actuator_lag"](tau_s=0.07), REGISTRY["sensor_bias"](offset_rad=0.02)
+    lag, bias = REGISTRY["actuator_lag"](**{"tau_s": 0.07}), REGISTRY["sensor_bias"](**{"offset_rad": 0.02})
     model = dataclasses.replace(robot(3), effects=(lag, bias))
     sd = {"effects.actuator_lag.tau_s": 0.003, "elastic.c3": 0.01}
     path = tmp_path / "model.toml"
