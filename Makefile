@@ -23,7 +23,8 @@ setup: .venv/.ready ## the pinned environment in .venv
 
 demo: .venv/.ready ## identify and diagnose OctRobot-I from its published measurements; writes out/demo/
 	@$(BIN)/ljjax fit $(OCTROBOT)/identification.mcap $(OCTROBOT)/open_loop_stiffness.mcap --out out/demo/fit
-	@$(BIN)/ljjax gap $(OCTROBOT)/identification.mcap $(OCTROBOT)/open_loop_stiffness.mcap --out out/demo/gap
+	@$(BIN)/ljjax gap $(OCTROBOT)/identification.mcap $(OCTROBOT)/open_loop_stiffness.mcap \
+	  $(OCTROBOT)/steady_tension.mcap --out out/demo/gap
 
 check: .venv/.ready ## formatting, lint and types
 	$(BIN)/ruff format --check .

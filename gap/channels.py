@@ -1,12 +1,13 @@
 """Measured tension and line pressure beside their commands: where they disagree, a block of the model has spoken.
 
-What stands between command and sensor shows here without the body. A channel that agrees with its command to its noise
-says nothing: the sensor may sit before what is wrong.
+What stands between command and sensor shows here without the body. It is asked of every refit: an effect that explains
+the shape must, as it was fitted to the shape, explain the measured tension too. The line's pressure cannot contradict
+what happens in the sheath behind it; it can only confirm.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,7 +26,10 @@ SPEAKS = 1.3
 """A channel speaks if its RMS distance from the command is so many times its noise, and an effect explains some."""
 EXPLAINS = 0.3
 WEIGHT = 0.5
-"""How much a speaking channel counts beside the shape."""
+"""How much a channel that confirms an effect counts beside the shape."""
+AGREES, CONTRADICTS, AGAINST = 0.5, 1.3, 0.3
+"""A channel confirms an effect that leaves less than this share of its distance from the command, and contradicts one
+that puts it further off by this factor; that counts as so much of the gap left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,14 +40,15 @@ class Channel:
         name: `tension` [N] or `pressure` [kPa].
         rms, noise: of measured − commanded, and of its white part.
         left: by effect, the share of the mean square beyond noise that it leaves.
-        values: by effect, its parameters by path.
+        error: predicted − measured through an effect with such parameters, or none; `inside` where it counts.
     """
 
     name: str
     rms: float
     noise: float
     left: Mapping[str, float]
-    values: Mapping[str, Mapping[str, float]]
+    error: Callable[[type[Effect] | None, Any], np.ndarray]
+    inside: np.ndarray
 
     @property
     def best(self) -> str:
@@ -51,15 +56,40 @@ class Channel:
 
     @property
     def speaks(self) -> bool:
+        """Whether it differs from its command in a way that an effect explains."""
         return bool(self.left) and self.rms > SPEAKS * self.noise and self.left[self.best] < 1 - EXPLAINS
 
+    def rms_with(self, effects: Sequence[Effect]) -> float | None:
+        """RMS of measured − predicted with the one of these effects that acts here and suits best; None for none."""
+        hook = "actuate" if self.name == "tension" else "evacuate"
+        out = []
+        for e in effects:
+            if _acts(type(e), hook):
+                r = self.error(type(e), [float(getattr(e, n)) for n in e.fields()])
+                out.append(float(np.sqrt(np.mean(r[self.inside] ** 2))))
+        return min(out, default=None)
 
-@dataclass(frozen=True, eq=False)
+    def leaves(self, rms: float) -> float:
+        """The share of its mean square beyond noise that an RMS stands for."""
+        return max(rms**2 - self.noise**2, 0.0) / max(self.rms**2 - self.noise**2, 1e-12)
+
+
+@dataclass(eq=False)
 class Measured:
-    """All measured inputs, and what they say."""
+    """All measured inputs, and what they say; `heard`, the channels that confirm an effect fitted to the shape."""
 
     channels: Sequence[Channel] = ()
-    notes: list[str] = field(default_factory=list)
+    heard: set[str] = field(default_factory=set)
+
+    @property
+    def notes(self) -> list[str]:
+        """What the channels that are heard say."""
+        return [
+            f"measured {c.name} differs from its command by {c.rms:.3g} RMS, {c.rms / c.noise:.1f} × its noise; "
+            f"{c.best} explains {100 * (1 - c.left[c.best]):.0f} % of it"
+            for c in self.channels
+            if c.name in self.heard
+        ]
 
     @property
     def speaks(self) -> list[str]:
@@ -70,20 +100,23 @@ class Measured:
                 out += [i for i in sorted(c.left, key=lambda i: c.left[i]) if c.left[i] < 1 - EXPLAINS]
         return list(dict.fromkeys(out))
 
-    def start(self, effect: str) -> Mapping[str, float]:
-        """Values from which to begin, where a channel tells them."""
+    def listen(self, left: float, effects: Sequence[Effect]) -> None:
+        """Note the channels that confirm effects which leave such a share of the shape's gap."""
         for c in self.channels:
-            if c.speaks and effect in c.values and c.left[effect] < 1 - EXPLAINS:
-                return c.values[effect]
-        return {}
+            rms = c.rms_with(effects)
+            if c.speaks and rms is not None and c.leaves(rms) < AGREES and left < 0.9:
+                self.heard.add(c.name)
 
-    def joined(self, left: float, ids: Sequence[str]) -> float:
-        """The share left of the shape's gap and of those of the channels that speak, together."""
-        speaking = [c for c in self.channels if c.speaks]
-        if not speaking:
-            return left
-        own = np.mean([min([1.0, *(c.left[i] for i in ids if i in c.left)]) for c in speaking])
-        return (1 - WEIGHT) * left + WEIGHT * float(own)
+    def joined(self, left: float, effects: Sequence[Effect]) -> float:
+        """The share left of the shape's gap and of those of the channels that are heard, together."""
+        out = left
+        for c in self.channels:
+            rms = c.rms_with(effects)
+            if c.name in self.heard:
+                out = (1 - WEIGHT) * out + WEIGHT * (1.0 if rms is None else min(c.leaves(rms), 1.0))
+            if c.name == "tension" and rms is not None and rms > CONTRADICTS * max(c.rms, c.noise):
+                out += AGAINST
+        return out
 
 
 def look(motions: Sequence[Motion], kinds: Sequence[type[Effect]]) -> Measured:
@@ -94,13 +127,7 @@ def look(motions: Sequence[Motion], kinds: Sequence[type[Effect]]) -> Measured:
         acting = [k for k in kinds if _acts(k, hook)]
         if mine and acting:
             channels.append(_channel(name, signal, mine, acting))
-    notes = [
-        f"measured {c.name} differs from its command by {c.rms:.3g} RMS, {c.rms / c.noise:.1f} × its noise; "
-        f"{c.best} explains {100 * (1 - c.left[c.best]):.0f} % of it"
-        for c in channels
-        if c.speaks
-    ]
-    return Measured(channels, notes)
+    return Measured(channels)
 
 
 def _acts(kind: type[Effect], hook: str) -> bool:
@@ -124,23 +151,19 @@ def _channel(name: str, signal: str, motions: Sequence[Motion], kinds: Sequence[
     inside = np.abs(base) < max(limit, np.quantile(np.abs(base), 0.99))
     rms = float(np.sqrt(np.mean(base[inside] ** 2)))
     left: dict[str, float] = {}
-    values: dict[str, dict[str, float]] = {}
     if rms > SPEAKS * noise:
         for kind in kinds:
             best = _explained(kind, error, inside, weight, max(float(m.tendons.max()) for m in motions))
-            left[kind.id] = float(max(best[0] ** 2 - noise**2, 0.0) / (rms**2 - noise**2))
-            values[kind.id] = {f"effects.{kind.id}.{n}": float(v) for n, v in zip(kind.fields(), best[1], strict=True)}
-    return Channel(name, rms, float(noise), left, values)
+            left[kind.id] = float(max(best**2 - noise**2, 0.0) / (rms**2 - noise**2))
+    return Channel(name, rms, float(noise), left, error, inside)
 
 
-def _explained(
-    kind: type[Effect], error: Any, inside: np.ndarray, weight: float, top: float
-) -> tuple[float, np.ndarray]:
-    """RMS that an effect leaves at best, and its parameters."""
+def _explained(kind: type[Effect], error: Any, inside: np.ndarray, weight: float, top: float) -> float:
+    """RMS that an effect leaves at best."""
     about = kind.fields()
     lower = np.array([x["low"] for x in about.values()])
     upper = np.array([x["high"] for x in about.values()])
-    best = (np.inf, np.array([x["null"] for x in about.values()]))
+    best = np.inf
     forms = [n for n, x in about.items() if x["pilots"]]
     starts = [
         [
@@ -163,8 +186,7 @@ def _explained(
         except (np.linalg.LinAlgError, FloatingPointError):
             continue
         rms = float(np.sqrt(np.mean(error(kind, found.x)[inside] ** 2)))
-        if rms < best[0]:
-            best = rms, found.x
+        best = min(best, rms)
     return best
 
 

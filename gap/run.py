@@ -121,10 +121,10 @@ class _Diagnosing:
         given = self._given(base)
         screen = study.screen(base)
         measured = channels.look(self.train, study.kinds)
-        self.warnings += measured.notes
         singles = self._leaders(base, screen, measured)
         excess = base.total - study.floor(self._count)
         found = self._forward(base, screen, singles, measured, excess)
+        self.warnings += measured.notes
         evidence = self._evidence(base, given, screen, found, measured, excess)
         probability = judge.probabilities(evidence)
         verdict = judge.verdict(probability)
@@ -150,8 +150,6 @@ class _Diagnosing:
         trials, steps = [], {}
         for key in [*first, *more]:
             trial, step = self.study.trial(screen, key)
-            start = {**trial.start, **measured.start(key[0])}
-            trial = Trial(trial.ids, start)
             trials.append(trial)
             steps[trial] = step
         return self.study.refit(base.model, trials, steps, finish=5)
@@ -159,6 +157,8 @@ class _Diagnosing:
     def _forward(self, base, screen, singles, measured, excess) -> _Found:
         """Forward selection with backward pruning, and all pairs among the leaders."""
         left = {}
+        for r in singles:
+            measured.listen((r.total - self.study.floor(self._count)) / max(excess, 1e-9), _chosen(r))
         for r in sorted(singles, key=lambda r: self._left(r, excess, measured)):
             left.setdefault(r.ids[0], r)
         found = _Found(left, {}, next(iter(left.values())), {})
@@ -210,7 +210,7 @@ class _Diagnosing:
     def _left(self, refit: Refit, excess: float, measured: channels.Measured) -> float:
         """The share of the gap a refit leaves, the measured inputs' own gap among it."""
         own = (refit.total - self.study.floor(self._count)) / max(excess, 1e-9)
-        return measured.joined(own, refit.ids)
+        return measured.joined(own, _chosen(refit))
 
     def _unit(self, refit: Refit, excess: float) -> float:
         """What a χ² of 1 is as a share of the excess: the variance that a refit leaves, its colour counted."""
@@ -222,7 +222,7 @@ class _Diagnosing:
         left = {i: self._left(r, excess, measured) for i, r in found.single.items()}
         for i in screen.ids:
             if i not in left:  # not refitted: what the Jacobian promises, at best
-                left[i] = max(measured.joined(1 - screen.gains[screen.best(i)] / max(excess, 1e-9), (i,)), 0.35)
+                left[i] = max(measured.joined(1 - screen.gains[screen.best(i)] / max(excess, 1e-9), ()), 0.35)
         size = {i: found.single[i].trial.size if i in found.single else 1 for i in left}
         if len(found.best.ids) > 1:
             least = self._left(found.best, excess, measured)
@@ -233,8 +233,6 @@ class _Diagnosing:
         null = screen.null(self.rng) * unit * max(excess, 1e-9)  # in units of the loss
         self.gained = {i: base.total - r.total for i, r in found.single.items()}
         chance = judge.chance(null, max(self.gained.values(), default=0.0), unit * max(excess, 1e-9))
-        if measured.speaks:
-            chance = min(chance, 1e-4)
         count = len(self.study.names)
         floor = self.study.floor(self._count)
         own = self._unit(base, 1.0)
@@ -351,8 +349,8 @@ class _Diagnosing:
                 kind = next(k for k in self.study.kinds if k.id == i)
                 unit = {n: about["unit"] for n, about in kind.fields().items()}
                 parameters = {n: {"value": v, "sd": s, "unit": unit[n]} for n, (v, s) in source.values(i).items()}
-            left = self._own_left(found, i, evidence)
-            out.append(Finding(i, probability[i], 1 - left, p, parameters))
+            closes = None if evidence.excess < judge.MATTERS else 1 - self._own_left(found, i, evidence)
+            out.append(Finding(i, probability[i], closes, p, parameters))
         return sorted(out, key=lambda f: -f.probability)
 
     def _own_left(self, found, effect: str, evidence) -> float:
@@ -419,6 +417,11 @@ class _Diagnosing:
         uncertainty = {n: float(s) for n, s in zip(c.names, sd, strict=True) if np.isfinite(s)}
         model: Model = replace(refit.model, effects=kept)
         return replace(self.start, model=model, uncertainty=uncertainty)
+
+
+def _chosen(refit: Refit) -> list[Effect]:
+    """The effects of a refit, as fitted."""
+    return [e for e in refit.model.effects if e.id in refit.ids]
 
 
 class _Found:

@@ -30,6 +30,19 @@ def test_the_demo_prints_the_table_shown():
     assert printed == blocks("text")[0].splitlines()
 
 
+def test_the_demo_prints_the_diagnosis_shown():
+    from ljjax.gap import diagnose
+    from ljjax.gap.show import show
+    from ljjax.logs import read_all
+
+    screen = io.StringIO()
+    names = ("identification", "open_loop_stiffness", "steady_tension")
+    result = diagnose(None, read_all([OCTROBOT / f"{name}.mcap" for name in names]))
+    show(result, Path("out/demo/gap"), Console(file=screen, highlight=False))
+    printed = [line.rstrip() for line in screen.getvalue().splitlines()]
+    assert printed == blocks("text")[1].splitlines()
+
+
 def test_the_python_shown_runs(tmp_path):
     (code,) = blocks("python")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
