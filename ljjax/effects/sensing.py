@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 
 from ljjax.effect import Effect, parameter
-from ljjax.effects.shapes import lagged, legendre
+from ljjax.effects.shapes import along, lagged
 
 
 class SensorScale(Effect):
@@ -33,15 +33,15 @@ class SensorBias(Effect):
     mode4: jax.Array = parameter("rad", 0.0, -0.5, 0.5, 0.01)
     mode5: jax.Array = parameter("rad", 0.0, -0.5, 0.5, 0.01)
 
-    def _offset(self, i, n):
+    def _offsets(self, n):
         modes = (self.mode1, self.mode2, self.mode3, self.mode4, self.mode5)
-        return self.offset_rad + sum(m * p for m, p in zip(modes, legendre(i, n), strict=True))
+        return [self.offset_rad + x for x in along(modes, n)]
 
     def sense(self, memory, y, now):
-        return tuple(x + self._offset(i, len(y)) for i, x in enumerate(y)), memory
+        return tuple(x + b for x, b in zip(y, self._offsets(len(y)), strict=True)), memory
 
     def unsense(self, y):
-        return tuple(x - self._offset(i, len(y)) for i, x in enumerate(y))
+        return tuple(x - b for x, b in zip(y, self._offsets(len(y)), strict=True))
 
 
 class SensorFilter(Effect):

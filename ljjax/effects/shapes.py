@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -36,7 +37,7 @@ def arm(now: Now) -> Array:
     return model.chain.lever_arm_m if model.lever is None else model.lever(jnp.stack(now.middle))
 
 
-def legendre(i: int, n: int) -> tuple[float, ...]:
+def _legendre(i: int, n: int) -> tuple[float, ...]:
     """P₁ … P₅ at joint i of n, along the body from −1 to 1: ways in which segments may differ."""
     x = 2 * i / (n - 1) - 1 if n > 1 else 0.0
     return (
@@ -46,3 +47,8 @@ def legendre(i: int, n: int) -> tuple[float, ...]:
         (35 * x**4 - 30 * x**2 + 3) / 8,
         (63 * x**5 - 70 * x**3 + 15 * x) / 8,
     )
+
+
+def along(modes: Sequence[Array], n: int) -> list[Array]:
+    """What each of n joints gets of modes along the body (P₁ … P₅)."""
+    return [sum((m * p for m, p in zip(modes, _legendre(i, n), strict=True)), 0.0 * modes[0]) for i in range(n)]

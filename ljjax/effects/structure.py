@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, Now, Vector, parameter, shape
-from ljjax.effects.shapes import lagged, legendre, positive
+from ljjax.effects.shapes import along, lagged, positive
 
 GRAVITY = 9.80665
 
@@ -51,13 +51,20 @@ class StiffnessHardening(Effect):
 
 
 class RestCurvature(Effect):
-    """The unloaded shape is bent: α₂ (q − q₀)."""
+    """The unloaded shape is bent: α₂ (q − q₀), q₀ by modes along the body where each joint is logged."""
 
     id, block, axes = "rest_curvature", "structure", ("everywhere", "angle", "pressure")
     angle_rad: jax.Array = parameter("rad", 0.0, -1.0, 1.0, 0.02)
+    mode1: jax.Array = parameter("rad", 0.0, -1.0, 1.0, 0.02)
+    mode2: jax.Array = parameter("rad", 0.0, -1.0, 1.0, 0.02)
+    mode3: jax.Array = parameter("rad", 0.0, -1.0, 1.0, 0.02)
+    mode4: jax.Array = parameter("rad", 0.0, -1.0, 1.0, 0.02)
+    mode5: jax.Array = parameter("rad", 0.0, -1.0, 1.0, 0.02)
 
     def load(self, memory, load, now):
-        return tuple(t + a * self.angle_rad for t, a in zip(load, now.alpha2, strict=True))
+        modes = (self.mode1, self.mode2, self.mode3, self.mode4, self.mode5)
+        bent = along(modes, len(load))
+        return tuple(t + a * (self.angle_rad + x) for t, a, x in zip(load, now.alpha2, bent, strict=True))
 
 
 class BaseTilt(Effect):
@@ -134,10 +141,7 @@ class NonuniformStiffness(Effect):
 
     def alpha2(self, memory, alpha2, now):
         modes = (self.mode1, self.mode2, self.mode3, self.mode4, self.mode5)
-        n = len(alpha2)
-        return tuple(
-            a * (1 + sum(m * p for m, p in zip(modes, legendre(i, n), strict=True))) for i, a in enumerate(alpha2)
-        )
+        return tuple(a * (1 + d) for a, d in zip(alpha2, along(modes, len(alpha2)), strict=True))
 
 
 class Contact(Effect):
