@@ -77,6 +77,14 @@ def rest(model: Model, inputs: Inputs, q: Joints | float = 0.0) -> State:
     return State(*(jnp.stack(x) for x in (found.q, found.v, found.z)))
 
 
+def unsensed(model: Model, q: Joints) -> Joints:
+    """(n,) the joint angles that are [rad], from those that are logged at rest: effects of sensing undone."""
+    shape = unroll(q)
+    for effect in reversed(model.effects):
+        shape = effect.unsense(shape)
+    return jnp.stack(shape)
+
+
 def simulate(
     model: Model,
     run: Run | Inputs,
@@ -120,7 +128,7 @@ def simulate(
     if isinstance(run, Run):
         driven = from_run(run, inputs)
         at = run.signal("shape").t if at is None else at
-        initial = rest(model, driven, initial_shape(run, model.n)) if initial is None else initial
+        initial = rest(model, driven, unsensed(model, initial_shape(run, model.n))) if initial is None else initial
         where = run.path
     else:
         driven, where = run, "inputs"

@@ -282,7 +282,7 @@ def test_help(args: list[str], capsys: pytest.CaptureFixture[str]):
     assert main(args) == 0
     said = capsys.readouterr()
     assert said.err == "" and "Traceback" not in said.out
-    own = {"fit": ["--out", "--held-out"], "simulate": ["--inputs"], "sweep": ["--vary"], "info": ["LOG"]}
+    own = {"fit": ["--held-out"], "gap": ["--without"], "simulate": ["--inputs"], "sweep": ["--vary"], "info": ["LOG"]}
     for word in COMMANDS if len(args) < 2 else own[args[0]]:
         assert word in said.out
 

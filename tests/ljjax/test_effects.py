@@ -16,7 +16,7 @@ from ljjax.errors import InputError
 from ljjax.inputs import Inputs
 from ljjax.model import get, limits, replace, units
 from ljjax.modelfile import ModelFile
-from ljjax.simulation import rest, simulate
+from ljjax.simulation import rest, simulate, unsensed
 
 IDS = {
     "actuation": "tendon_friction tendon_slack actuator_lag actuator_delay actuator_deadband actuator_gain "
@@ -104,6 +104,17 @@ def test_parameters_have_units_bounds_and_paths(everything):
         assert low <= float(get(model, path)) <= high
     with pytest.raises(InputError, match="no parameter 'effects.actuator_lag.tau'"):
         get(model, "effects.actuator_lag.tau")
+
+
+def test_a_run_starts_where_its_log_does_whatever_the_sensor_adds(robot):
+    scale, bias = (
+        REGISTRY["sensor_scale"](**{"error": 0.1}),
+        REGISTRY["sensor_bias"](**{"offset_rad": 0.02, "mode1": 0.01}),
+    )
+    model = dataclasses.replace(robot(3), effects=(scale, bias))
+    logged = jnp.array([0.05, 0.02, -0.01])
+    start = rest(model, drive(), unsensed(model, logged))
+    np.testing.assert_allclose(simulate(model, drive(), initial=start).seen[0], logged, atol=1e-12)
 
 
 def test_a_model_file_holds_effects(tmp_path, robot):
