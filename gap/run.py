@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -161,14 +161,15 @@ class _Diagnosing:
             measured.listen((r.total - self.study.floor(self._count)) / max(excess, 1e-9), _chosen(r))
         for r in sorted(singles, key=lambda r: self._left(r, excess, measured)):
             left.setdefault(r.ids[0], r)
-        found = _Found(left, {}, next(iter(left.values())), {})
+        if not left:
+            raise FloatingPointError("no candidate simulates on these runs")
+        found = _Found(left, {}, next(iter(left.values())))
         unit = self._unit(found.best, excess)
         while len(found.best.ids) < MOST:
             share = self._left(found.best, excess, measured)
             if share < max(0.05, 15 * unit):
                 break
             on_top = self.study.screen(found.best)
-            found.screens[found.best.ids] = on_top
             keys = sorted((on_top.best(i) for i in on_top.ids), key=lambda k: -on_top.gains[k])[:SECOND]
             trials, steps = [], {}
             for key in keys:
@@ -265,7 +266,7 @@ class _Diagnosing:
                 gap, shares = self._gap(base, chosen, seen)
         findings = self._findings(screen, found, evidence, probability)
         places = self._where(base, chosen, verdict, found, main)
-        rivals = self._rivals(found, selected, probability, evidence)
+        rivals = self._rivals(found, selected, probability)
         plan = next_experiment(study, [found.single[i] for i in rivals], rivals)
         detectable = {}
         for i in screen.ids:
@@ -273,9 +274,9 @@ class _Diagnosing:
             kind = next(k for k in study.kinds if k.id == i)
             if np.isfinite(value):
                 detectable[i] = {"parameter": name, "value": value, "unit": kind.fields()[name]["unit"]}
-        self._warn(evidence, verdict, gap, base)
+        self._warn(evidence, verdict, base)
         story = Story(self, base, given, screen, found, measured, evidence, chosen, seen, shares)
-        overlays = [self._overlay(r, [*refits][:1] + [chosen], seen) for r in self.runs]
+        overlays = [self._overlay(r, chosen, seen) for r in self.runs]
         roles = [role_of(r, self.train, self.test) for r in self.runs]
         return Diagnosis(
             verdict=verdict,
@@ -376,13 +377,13 @@ class _Diagnosing:
             return where.places(base.estimate, channel, [(block, where.loudest(base.estimate, gap)[:2], gap)])
         return []
 
-    def _rivals(self, found, selected, probability, evidence) -> list[str]:
+    def _rivals(self, found, selected, probability) -> list[str]:
         """The main effect and the most probable other that has been refitted."""
         known = sorted(found.single, key=lambda i: -probability.get(i, 0.0))
         first = [i for i in selected if i in found.single][:1] or known[:1]
         return [*first, *[i for i in known if i not in first]][:2]
 
-    def _warn(self, evidence, verdict, gap, base) -> None:
+    def _warn(self, evidence, verdict, base) -> None:
         if self.start_from == NOMINAL:
             self.warnings.append("no model given: geometry and mass are OctRobot-I's; give yours with --model")
         if verdict == "unlisted_effect":
@@ -396,8 +397,8 @@ class _Diagnosing:
         if moved < 10 * float(np.max(self.study.noise)):
             self.warnings.append("the robot hardly moves in these runs: little can be told from them")
 
-    def _overlay(self, run: Run, refits: Sequence[Refit], seen: Sequence[Estimate]):
-        for motions, estimate in ((self.train, refits[-1].estimate), (self.test, seen[min(1, len(seen) - 2)])):
+    def _overlay(self, run: Run, chosen: Refit, seen: Sequence[Estimate]):
+        for motions, estimate in ((self.train, chosen.estimate), (self.test, seen[min(1, len(seen) - 2)])):
             for i, m in enumerate(motions):
                 if m.run is run:
                     mine = estimate.windows.sample_run == i
@@ -424,12 +425,10 @@ def _chosen(refit: Refit) -> list[Effect]:
     return [e for e in refit.model.effects if e.id in refit.ids]
 
 
+@dataclass
 class _Found:
-    """What the search found: each effect's best refit alone, joint refits by their effects, the best of all, and the
-    screens made on top of others."""
+    """What the search found: each effect's best refit alone, joint refits by their effects, the best of all."""
 
-    def __init__(self, single, joint, best, screens):
-        self.single: dict[str, Refit] = single
-        self.joint: dict[tuple[str, ...], Refit] = joint
-        self.best: Refit = best
-        self.screens: dict[tuple[str, ...], Screen] = screens
+    single: dict[str, Refit]
+    joint: dict[tuple[str, ...], Refit]
+    best: Refit
