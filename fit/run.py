@@ -267,12 +267,17 @@ def _levels(pressure: np.ndarray) -> int:
     return count
 
 
-def _statics(start: ModelFile, start_from: str, runs: Sequence[Run], held, options, moving) -> StaticResult:
+def calm(runs: Sequence[Run], moving: Sequence[str]) -> tuple[Points, Points, list[str]]:
+    """The steady points and presses of runs none of which moves, of which `moving` says why."""
     try:
-        steady, probe, said = collect(runs)
+        return collect(runs)
     except InputError as error:
-        calm = [line.removeprefix("left out: ") for line in moving if "no excitation" in line]
-        raise InputError("; ".join(calm)) if len(calm) == len(runs) else error from None
+        still = [line.removeprefix("left out: ") for line in moving if "no excitation" in line]
+        raise InputError("; ".join(still)) if len(still) == len(runs) else error from None
+
+
+def _statics(start: ModelFile, start_from: str, runs: Sequence[Run], held, options, moving) -> StaticResult:
+    steady, probe, said = calm(runs, moving)
     static = fit_static(
         start.model, steady, probe, frozen=held, weights=options["weights"], constraints=options["constraints"]
     )

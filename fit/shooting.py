@@ -26,8 +26,9 @@ from ljjax.fit.windows import STEPS, Windows
 from ljjax.model import Model
 from ljjax.step import Drive, How, Unrolled, in_balance
 
-TILE = 64
-"""Windows simulated in one call: wide enough for vector units, small enough for a core's cache."""
+TILE, NARROW = 64, 32
+"""Windows simulated in one call: wide enough for vector units, small enough for a core's cache. Where they go on from
+each other there are as many as runs, and narrow tiles occupy all cores."""
 T = TypeVar("T")
 
 
@@ -171,14 +172,14 @@ class _Batch:
         """Where these windows start from the data."""
         take = lambda x: x[..., windows]  # noqa: E731
         q, v, first = jax.tree.map(take, (self.q, self.v, jax.tree.map(lambda x: x[0], self.drive)))
-        return Starts(*_tiled(_balance, (*self.robots(windows), q, v, first)))
+        return Starts(*_tiled(_balance, (*self.robots(windows), q, v, first), TILE))
 
     def shoot(self, windows: Any, starts: Starts, joints: bool, onward: bool = False) -> Any:
         """`_shoot` of these windows from `starts`."""
         take = lambda x: x[..., windows]  # noqa: E731
         drive, h = jax.tree.map(take, (self.drive, self.h))
         given = (*self.robots(windows), starts.state, starts.slope, drive, h)
-        return _tiled(partial(_shoot, joints, onward), given)
+        return _tiled(partial(_shoot, joints, onward), given, NARROW if onward else TILE)
 
 
 def _answer(requests: Sequence[Request], width: int, joints: bool) -> list[Answer]:
@@ -250,11 +251,11 @@ def _where(mask: np.ndarray, yes: Starts, no: Starts) -> Starts:
     return jax.tree.map(lambda a, b: np.where(mask, a, b), yes, no)
 
 
-def _tiled(kernel: Callable, arguments: Any) -> Any:
-    """A jitted kernel over arguments whose last axis is the windows, in tiles of `TILE`, on all cores."""
+def _tiled(kernel: Callable, arguments: Any, tile: int) -> Any:
+    """A jitted kernel over arguments whose last axis is the windows, in tiles so wide, on all cores."""
     leaves = jax.tree.leaves(arguments)
     count = leaves[0].shape[-1]
-    index = [np.minimum(np.arange(a, a + TILE), count - 1) for a in range(0, count, TILE)]
+    index = [np.minimum(np.arange(a, a + tile), count - 1) for a in range(0, count, tile)]
 
     def work(i: np.ndarray) -> Any:
         return jax.tree.map(np.asarray, kernel(*jax.tree.map(lambda x: np.ascontiguousarray(x[..., i]), arguments)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from ljjax.effect import Effect
 from ljjax.fit.coordinates import without_effects
@@ -36,19 +37,23 @@ def universal(model: Model, kinds: Sequence[type[Effect]]) -> Model:
 def sizes(kind: type[Effect], joints: int, logged: int) -> list[str]:
     """Names of the parameters that say how large an effect is, those left out that nothing logged could show: modes
     along the body where `logged` is θ alone, or the body has too few joints for them."""
-    modes = min(logged, joints) - 1
+    modes = max(min(logged, joints) - 1, min(kind.modes_of_theta, joints - 1))
     return [n for n in kind.sizes() if not n.startswith("mode") or int(n[4:]) <= modes]
 
 
-def pilots(kind: type[Effect], span: Mapping[str, float]) -> list[dict[str, float]]:
-    """Forms from which a search begins: name → value, one form varied at a time."""
+def pilots(kind: type[Effect], span: Mapping[str, float], waves: Sequence[float] = ()) -> list[dict[str, float]]:
+    """Forms from which a search begins: name → value, one form varied at a time; `waves` [1/rad] where they are of
+    those."""
     forms = {n: about for n, about in kind.fields().items() if about["pilots"]}
     if not forms:
         return [{}]
-    values = {
-        n: [min(max(p * span[about["of"]], about["low"]), about["high"]) for p in about["pilots"]]
-        for n, about in forms.items()
-    }
+
+    def of(about: Mapping[str, Any]) -> list[float]:
+        if about["of"] == "waves":
+            return list(waves or about["pilots"])
+        return [p * span[about["of"]] for p in about["pilots"]]
+
+    values = {n: [min(max(x, about["low"]), about["high"]) for x in of(about)] for n, about in forms.items()}
     middle = {n: v[len(v) // 2] for n, v in values.items()}
     return [{**middle, n: x} for n, v in values.items() for x in v]
 

@@ -34,7 +34,6 @@ class Evidence:
         unit: what a χ² of 1 is, as a share of the excess (the residuals' colour counted).
         chance: probability that data without an effect gain as much.
         refitted: whether the given model explains the runs no worse than the refitted base does.
-        coloured: RMS of what the base leaves, in units of the white noise.
     """
 
     excess: float
@@ -43,7 +42,6 @@ class Evidence:
     unit: float
     chance: float
     as_given: bool
-    coloured: float
 
 
 def probabilities(e: Evidence) -> dict[str, float]:

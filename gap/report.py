@@ -221,7 +221,7 @@ def _closing(story: Story, result: Diagnosis) -> list[str]:
     )
     picture = figures.waterfall(story.steps, result.gap.noise_floor)
     rows = [[escape(s.what), degrees(s.train), degrees(s.test)] for s in story.steps]
-    fitted = float(np.sqrt(np.mean(story.work.study.noise**2)))
+    fitted = float(np.sqrt(np.mean(story.setting.study.noise**2)))
     rows.append(["noise floor", degrees(fitted), degrees(result.gap.noise_floor)])
     table = page.table(["RMS error", "runs fitted", "runs not fitted"], rows, numeric=(1, 2))
     return [page.figure(picture, "From error to noise", caption), f"<div>{table}</div>"]
@@ -229,7 +229,7 @@ def _closing(story: Story, result: Diagnosis) -> list[str]:
 
 def _parameters(story: Story) -> str:
     """The base's own parameters along the way."""
-    models = [story.work.study.start, story.base.model, *([story.extended.model] if story.extended else [])]
+    models = [story.setting.study.start, story.base.model, *([story.extended.model] if story.extended else [])]
     rows = [
         [f"<code>{escape(n)}</code>", *(number(float(get(m, n)), 4) for m in models)]
         for n in story.base.estimate.problem.coordinates.names

@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 
 from ljjax.effect import Effect
 from ljjax.fit.coordinates import Coordinates
-from ljjax.fit.dynamic import Problem, Round, Search, bandwidth
+from ljjax.fit.dynamic import Estimate, Problem, Round, Search, bandwidth
 from ljjax.fit.shooting import Asking
 from ljjax.fit.windows import Motion, cut
 from ljjax.gap.candidates import path, pilots, sizes
@@ -125,6 +125,7 @@ def screen(
     span: Mapping[str, float],
     pressure: float,
     how: Round,
+    waves: Sequence[float] = (),
 ) -> tuple[list[Asking[Search]], list[list[Column]], dict[tuple[str, int], dict[str, float]]]:
     """The searches to run side by side, and what each one's last columns are: `gather` makes a Screen of them."""
     free = {n.split(".")[1] for n in names if n.startswith("effects.")}
@@ -136,7 +137,7 @@ def screen(
         if kind.id in free:
             continue
         about = kind.fields()
-        for form, values in enumerate(pilots(kind, span)):
+        for form, values in enumerate(pilots(kind, span, waves)):
             forms[kind.id, form] = values
             columns = []
             for name in sizes(kind, model.n, logged):
@@ -160,6 +161,38 @@ def screen(
         asked.append(_look(Search(Problem(coordinates, motions), windows, how)))
         said.append(columns)
     return asked, said, forms
+
+
+WAVES = np.arange(4.0, 120.0, 0.4)
+"""Waves over the body's whole bend that are looked for [1/rad]."""
+
+
+def waves(found: Estimate, count: int = 4) -> list[float]:
+    """The waves over the body's whole bend [1/rad] of which the residuals have most, found by a periodogram: what a
+    bend of a third order leaves in each run, by sines and cosines of amplitudes of their own at three pressures."""
+    windows = found.windows
+    bend = windows.y.mean(axis=1) * len(found.problem.motions[0].q0)
+    error, power = found.error.mean(axis=1), np.zeros(len(WAVES))
+    for i, m in enumerate(found.problem.motions):
+        mine = np.flatnonzero(windows.sample_run == i)
+        vacuum = np.interp(windows.sample_t[mine], m.input_t, m.vacuum)
+        group = np.digitize(vacuum, np.quantile(vacuum, [1 / 3, 2 / 3]))
+        for g in np.unique(group):
+            x, e = bend[mine[group == g]], error[mine[group == g]]
+            if np.ptp(x) < 0.2:
+                continue
+            curve = np.vander(x, 4)
+            e = e - curve @ np.linalg.lstsq(curve, e, rcond=None)[0]
+            phase = np.exp(1j * np.outer(WAVES, x))
+            power += np.where(WAVES * np.ptp(x) > 2 * np.pi, np.abs(phase @ e) ** 2 / len(x), 0.0)
+    apart = 2 * np.pi / max(float(np.ptp(bend)), 0.2)
+    out: list[float] = []
+    for k in np.argsort(-power):
+        if power[k] > 0 and all(abs(WAVES[k] - w) > apart for w in out):
+            out.append(float(WAVES[k]))
+        if len(out) == count:
+            break
+    return sorted(out)
 
 
 def _look(search: Search) -> Asking[Search]:

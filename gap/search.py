@@ -20,7 +20,7 @@ from ljjax.model import Model, limits, replace
 BASE = (Round(0.01, False, np.inf, 2 * TILE, 0.1, 1e-2), Round(0.01, True, 1e-4, 1_000_000, 0.5, 3e-4))
 QUICK = Round(0.01, True, np.inf, 1_000_000, 0.5, 2e-4, onward=True)
 """How candidates are compared: free runs one window after the other, at the longest step that is as good as noise."""
-FIRST, LAST, WHOLE = 3, 5, 15
+FIRST, LAST, WHOLE = 3, 5, 8
 """Iterations for all candidates, more of them for the best, and for the answer."""
 Tell = Callable[[str, int, int], None]
 
@@ -50,6 +50,18 @@ class Refit:
     @property
     def model(self) -> Model:
         return self.estimate.model
+
+    @property
+    def effects(self) -> list[Effect]:
+        """The effects set free, as fitted."""
+        return [e for e in self.model.effects if e.id in self.ids]
+
+    @property
+    def free_effects(self) -> dict[str, float]:
+        """The free parameters of effects by path, as fitted."""
+        c = self.estimate.problem.coordinates
+        values = zip(c.names, c.physical(self.estimate.x), strict=True)
+        return {p: float(x) for p, x in values if p.startswith("effects.")}
 
     def values(self, effect: str) -> dict[str, tuple[float, float]]:
         """Value and standard deviation of an effect's free parameters, by name."""
@@ -170,8 +182,9 @@ class Study:
     def screen(self, from_: Refit) -> Screen:
         """Every effect that is not in a refit, on top of it."""
         chosen = [f"effects.{i}.{n}" for i in from_.ids for n in self._free(i, from_)]
+        names, waves = [*self.names, *chosen], screening.waves(from_.estimate)
         asked, said, forms = screening.screen(
-            self._whole(from_.model), [*self.names, *chosen], self.kinds, self.motions, self.span, self.pressure, QUICK
+            self._whole(from_.model), names, self.kinds, self.motions, self.span, self.pressure, QUICK, waves
         )
         found = together(asked, self._tell("screening"))
         for f in found:
@@ -187,16 +200,11 @@ class Study:
         ids, before, count = (key[0],), {}, len(self.names)
         if onto is not None and onto.ids:
             ids = (*onto.ids, key[0])
-            before = {p: float(x) for p, x in self._physical(onto).items() if p.startswith("effects.")}
+            before = onto.free_effects
         return Trial(ids, {**before, **start}), screen.base_step[key][:count]
 
     def _free(self, effect: str, refit: Refit) -> list[str]:
         return [p.split(".")[2] for p in refit.trial.start if p.split(".")[1] == effect]
-
-    @staticmethod
-    def _physical(refit: Refit) -> dict[str, float]:
-        c = refit.estimate.problem.coordinates
-        return dict(zip(c.names, c.physical(refit.estimate.x), strict=True))
 
     def predict(self, refits: Sequence[Refit], motions: Sequence[Motion]) -> list[Estimate]:
         """What refits say of other runs, without fitting anything to them."""

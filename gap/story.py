@@ -12,6 +12,7 @@ import numpy as np
 from ljjax.effect import Effect
 from ljjax.fit.dynamic import Estimate
 from ljjax.gap import where
+from ljjax.gap.inquiry import Inquiry
 from ljjax.gap.result import Diagnosis
 from ljjax.gap.search import Refit
 from ljjax.gap.show import WORDS
@@ -68,9 +69,10 @@ class Step:
 class Story:
     """Everything the pictures need: refits, screens, predictions of unseen runs."""
 
-    def __init__(self, work, base, given, screen, found, measured, evidence, chosen, seen, shares):
-        self.work, self.base, self.given, self.screen, self.found = work, base, given, screen, found
-        self.measured, self.evidence, self.chosen, self.seen, self.shares = measured, evidence, chosen, seen, shares
+    def __init__(self, inquiry: Inquiry, chosen: Refit, seen: Sequence[Estimate]):
+        self.setting, self.base, self.given, self.screen = inquiry.setting, inquiry.base, inquiry.given, inquiry.screen
+        self.found, self.measured, self.evidence = inquiry.found, inquiry.measured, inquiry.evidence
+        self.chosen, self.seen = chosen, seen
         self.steps = self._steps()
 
     def report(self, result: Any, data: Mapping[str, Any]) -> str:
@@ -87,7 +89,7 @@ class Story:
     @cached_property
     def kinds(self) -> dict[str, type[Effect]]:
         """The effects on trial by id."""
-        return {k.id: k for k in self.work.study.kinds}
+        return {k.id: k for k in self.setting.study.kinds}
 
     @cached_property
     def courses(self) -> list[Course]:
@@ -107,7 +109,7 @@ class Story:
         known = {**{(i,): r for i, r in self.found.single.items()}, **self.found.joint}
         ways = [(k, known.get(tuple(sorted(ids[:k])))) for k in range(1, len(ids))]
         between = [(k, r) for k, r in ways if r is not None]
-        seen = self.work.study.predict([r for _, r in between], self.work.test) if between else []
+        seen = self.setting.study.predict([r for _, r in between], self.setting.test) if between else []
         before = 0
         for (k, refit), unseen in zip(between, seen, strict=True):
             out.append(_step(_added(ids[before:k]), refit.estimate, unseen))

@@ -60,7 +60,7 @@ def shape(unit: str, default: float, low: float, high: float, pilots: tuple[floa
         unit, default, low, high: as of any parameter.
         pilots: values from which a search begins, each on its own.
         of: what of the data the pilots are shares of: `"tension"` [N], `"angle"` of a joint [rad] (the largest there
-            are), or nothing.
+            are), or nothing; `"waves"` for waves over the body's whole bend [1/rad], which a diagnosis finds itself.
     """
     scale = 0.3 * (abs(default) or 1.0)
     return _field({"unit": unit, "null": default, "low": low, "high": high, "scale": scale, "pilots": pilots, "of": of})
@@ -84,6 +84,8 @@ class Effect(eqx.Module):
     id: ClassVar[str] = ""
     block: ClassVar[str] = ""
     axes: ClassVar[tuple[str, ...]] = ("everywhere",)
+    modes_of_theta: ClassVar[int] = 0
+    """How many of the parameters `mode1`, `mode2` … show where the mean angle alone is logged."""
     file: ClassVar[str] = ""
     """Where the class was loaded from, if it is not one of the package's."""
 

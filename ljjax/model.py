@@ -6,6 +6,7 @@ A parameter is named by its path, such as `"friction.mu_s"`, everywhere: files, 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from functools import cache
 from typing import Any
 
 import equinox as eqx
@@ -115,11 +116,12 @@ UNITS: Mapping[str, str] = {
 def units(model: Model) -> dict[str, str]:
     """The unit of every parameter of a model by path, those of its effects (`effects.<id>.<name>`) included; its keys
     are all the parameters there are."""
-    of_effects = {
-        f"effects.{effect.id}.{name}": about["unit"]
-        for effect in model.effects
-        for name, about in effect.fields().items()
-    }
+    return dict(_units(tuple(type(effect) for effect in model.effects)))
+
+
+@cache
+def _units(kinds: tuple[type[Effect], ...]) -> dict[str, str]:
+    of_effects = {f"effects.{k.id}.{name}": about["unit"] for k in kinds for name, about in k.fields().items()}
     return {**UNITS, **of_effects}
 
 

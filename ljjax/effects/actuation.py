@@ -30,13 +30,15 @@ class ActuatorDeadband(Effect):
 
 
 class ActuatorGain(Effect):
-    """The torque constant or the spool's radius is wrong: (1 + e) T_cmd."""
+    """The torque constant or the spool's radius is wrong: (1 + e ± d) T_cmd, each tendon with a motor of its own."""
 
     id, block, axes = "actuator_gain", "actuation", ("load", "everywhere", "angle")
     error: jax.Array = parameter("1", 0.0, -0.6, 1.5, 0.1)
+    difference: jax.Array = parameter("1", 0.0, -0.4, 0.4, 0.05)
 
     def actuate(self, memory, u, now):
-        return tuple((1 + self.error) * t for t in u), memory
+        gains = 1 + self.error + self.difference, 1 + self.error - self.difference
+        return tuple(g * t for g, t in zip(gains, u, strict=True)), memory
 
 
 class ActuatorSaturation(Effect):
@@ -71,7 +73,7 @@ class ActuatorRipple(Effect):
     id, block, axes = "actuator_ripple", "actuation", ("angle", "load")
     sine_n: jax.Array = parameter("N", 0.0, -10.0, 10.0, 0.3)
     cosine_n: jax.Array = parameter("N", 0.0, -10.0, 10.0, 0.3)
-    waves: jax.Array = shape("1/rad", 15.0, 2.0, 200.0, (5.0, 8.0, 11.0, 14.0, 18.0, 22.0, 27.0, 33.0, 40.0, 50.0))
+    waves: jax.Array = shape("1/rad", 15.0, 2.0, 200.0, (5.0, 8.0, 12.0, 18.0, 27.0, 40.0), "waves")
 
     def actuate(self, memory, u, now):
         phase = self.waves * sum(now.middle)

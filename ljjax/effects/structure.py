@@ -132,7 +132,7 @@ class GravityDistribution(Effect):
 class NonuniformStiffness(Effect):
     """Segments differ: α₂,ᵢ = α₂ (1 + dᵢ), d by modes along the body (Legendre's P₁ … P₅; their mean is in α₂)."""
 
-    id, block, axes = "nonuniform_stiffness", "structure", ("segment",)
+    id, block, axes, modes_of_theta = "nonuniform_stiffness", "structure", ("segment", "angle"), 2
     mode1: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
     mode2: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
     mode3: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)

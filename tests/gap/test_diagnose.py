@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -116,6 +117,50 @@ def test_a_robot_without_an_effect_only_needs_its_parameters(tmp_path):
     assert data["verdict"] == "parameters_only"
     assert data["selected"] == []
     assert data["gap"]["closed_fraction"] is None and data["gap"]["before"] < 1.1 * data["gap"]["noise_floor"]
+
+
+class Without:
+    """A log's writer that leaves some signals out."""
+
+    def __init__(self, log: Writer, *names: str):
+        self.log, self.names = log, names
+
+    def write(self, name: str, *values, **more) -> None:
+        if name not in self.names:
+            self.log.write(name, *values, **more)
+
+
+def weak(folder: Path, bend: float, tension: float, *missing: str) -> list[str]:
+    """Three runs that bend to so many radians a joint under so many newtons, some signals left out; and a model."""
+    robot = draw(ROBOT + 1)[ROBOT]
+    folder.mkdir()
+    wave = np.sin(np.linspace(0, 12, round(SECONDS / PERIOD_S)))
+    for k, experiment in enumerate(plan(robot, SECONDS, seed=3)[:3]):
+        tendons = tension * np.stack([np.maximum(wave, 0), np.maximum(-wave, 0)], axis=1)
+        still = replace(experiment, tendons=tendons, pressure_kpa=np.full(len(wave), 10.0 * k))
+        with Writer(folder / f"run_{k:02d}.mcap", logs.metadata(robot, k, experiment.name)) as log:
+            q = np.repeat(bend * wave[:, None], 6, axis=1)
+            logs._moving(Without(log, *missing), robot, k, still, q, np.random.default_rng(k))
+    (folder / "nominal.toml").write_text(modelfile.dumps(ModelFile(model_of(robot.start), frozen=robot.known)))
+    return [str(folder), "--model", str(folder / "nominal.toml"), "--out", str(folder / "out")]
+
+
+@pytest.mark.parametrize(
+    "bend, tension, missing, said",
+    [
+        (0.0, 0.0, (), "no excitation: neither the tensions nor the shape move"),
+        (0.0, 1.0, (), "no excitation: the shape moves by"),
+        (0.0012, 1.0, (), "cannot tell from these data: the shape moves by"),
+        (0.1, 1.0, ("pressure", "cmd_pressure"), "pressure"),
+        (0.1, 1.0, ("shape",), "shape"),
+    ],
+)
+def test_runs_that_cannot_tell_are_refused_with_the_reason(tmp_path, capsys, bend, tension, missing, said):
+    args = weak(tmp_path / "robot", bend, tension, *missing)
+    assert main(["gap", *args]) == 2
+    error = capsys.readouterr().err
+    assert said in error and "Traceback" not in error
+    assert not (tmp_path / "robot" / "out").exists()
 
 
 def test_bad_input_is_refused_by_name(tmp_path, capsys):

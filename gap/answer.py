@@ -1,0 +1,193 @@
+"""The answer to a diagnosis that has run: the gap on unseen runs, places, findings, what to do next, and files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ljjax import effects
+from ljjax.fit.dynamic import Estimate
+from ljjax.fit.result import NOMINAL
+from ljjax.gap import judge, where
+from ljjax.gap.data import role_of
+from ljjax.gap.experiment import next_experiment
+from ljjax.gap.inquiry import Inquiry
+from ljjax.gap.result import Diagnosis, Finding, Gap, Region
+from ljjax.gap.search import Refit
+from ljjax.gap.story import Story
+from ljjax.logs import Run, Signal
+from ljjax.modelfile import ModelFile
+
+ANGLE = {1: "theta"}
+
+
+def answer(inquiry: Inquiry) -> Diagnosis:
+    """What a inquiry found, with all that is reported of it."""
+    setting, study, base, chosen = inquiry.setting, inquiry.setting.study, inquiry.base, inquiry.chosen
+    refits = [base, chosen] if chosen is not base else [base]
+    seen = study.predict([*refits, inquiry.given], setting.test)
+    equivalent = _equivalent(inquiry)
+    if equivalent and len(chosen.ids) == 1:
+        single, order = inquiry.found.single, list(effects.REGISTRY)
+        simplest = min(equivalent[0], key=lambda i: (single[i].trial.size, order.index(i)))
+        if simplest != chosen.ids[0] and single[simplest].total <= 1.02 * chosen.total:
+            chosen = single[simplest]
+            seen[1] = study.predict([chosen], setting.test)[0]
+    rivals = _rivals(inquiry, chosen.ids)
+    return Diagnosis(
+        verdict=inquiry.verdict,
+        gap=_gap(inquiry, chosen, seen),
+        where=_where(inquiry, chosen),
+        effects=_findings(inquiry),
+        selected=list(chosen.ids),
+        equivalent=equivalent,
+        minimum_detectable=_detectable(inquiry),
+        next_experiment=next_experiment(study, [inquiry.found.single[i] for i in rivals], rivals),
+        base=_file(inquiry, base),
+        model=_file(inquiry, chosen),
+        runs=setting.runs,
+        roles=[role_of(r, setting.train, setting.test) for r in setting.runs],
+        said=setting.said,
+        warnings=[*setting.warnings, *inquiry.measured.notes, *_warnings(inquiry)],
+        seed=setting.seed,
+        options=setting.options,
+        story=Story(inquiry, chosen, seen),
+        overlays=[_overlay(inquiry, r, chosen, seen) for r in setting.runs],
+    )
+
+
+def _channel(inquiry: Inquiry) -> str:
+    return ANGLE.get(inquiry.base.estimate.windows.y.shape[1], "joints")
+
+
+def _gap(inquiry: Inquiry, chosen: Refit, seen: Sequence[Estimate]) -> Gap:
+    """The gap on the unseen runs; its interval from the mean squares of every run."""
+    base, setting = inquiry.base, inquiry.setting
+    after = seen[1] if chosen is not base else seen[0]
+    parts = {"before": [], "after": [], "floor": []}
+    pairs = (base.estimate, chosen.estimate, setting.train), (seen[0], after, setting.test)
+    for b, a, motions in pairs:
+        for i, m in enumerate(motions):
+            mine = b.windows.sample_run == i
+            parts["before"].append(np.mean(b.error[mine] ** 2))
+            parts["after"].append(np.mean(a.error[mine] ** 2))
+            parts["floor"].append(np.mean(m.noise**2))
+    shares = {name: np.array(x) for name, x in parts.items()}
+    before, end, given = (float(np.sqrt(np.mean(e.error**2))) for e in (seen[0], after, seen[-1]))
+    floor = float(np.sqrt(np.mean([np.mean(m.noise**2) for m in setting.test])))
+    fraction = judge.closed(before, end, floor)
+    ci = None
+    if fraction is not None and chosen is base:
+        fraction, ci = 0.0, (0.0, 0.0)
+    elif fraction is not None:
+        count = len(setting.test)
+        ci = judge.interval(shares["before"], shares["after"], shares["floor"], count, setting.rng)
+        if ci is not None:
+            ci = (min(ci[0], fraction), max(ci[1], fraction))
+    ids = tuple(m.run.run_id for m in setting.test)
+    return Gap(_channel(inquiry), "rad", before, end, floor, fraction, ci, ids, given)
+
+
+def _equivalent(inquiry: Inquiry) -> list[list[str]]:
+    main, *others = inquiry.chosen.ids or ("",)
+    if inquiry.verdict != "listed_effect" or others:
+        return []
+    alone = {i: inquiry.evidence.left[i] for i in inquiry.found.single}
+    group = judge.equivalents(alone, main, inquiry.evidence.unit)
+    return [group] if len(group) > 1 else []
+
+
+def _findings(inquiry: Inquiry) -> list[Finding]:
+    out, found, evidence = [], inquiry.found, inquiry.evidence
+    kinds = {k.id: k for k in inquiry.setting.study.kinds}
+    for i, probability in inquiry.probability.items():
+        if i not in evidence.left:
+            out.append(Finding(i, probability))
+            continue
+        gain = inquiry.gained.get(i, inquiry.screen.gains[inquiry.screen.best(i)])
+        p = judge.chance(inquiry.null, gain, inquiry.one)
+        source = found.best if i in found.best.ids else found.single.get(i)
+        parameters = {}
+        if source is not None:
+            unit = {n: about["unit"] for n, about in kinds[i].fields().items()}
+            parameters = {n: {"value": v, "sd": s, "unit": unit[n]} for n, (v, s) in source.values(i).items()}
+        left = inquiry.own_left(found.single[i]) if i in found.single else float(min(evidence.left[i], 1.0))
+        closes = None if evidence.excess < judge.MATTERS else 1 - left
+        out.append(Finding(i, probability, closes, p, parameters))
+    return sorted(out, key=lambda f: -f.probability)
+
+
+def _where(inquiry: Inquiry, chosen: Refit) -> list[Region]:
+    base, channel = inquiry.base, _channel(inquiry)
+    if inquiry.verdict == "listed_effect":
+        contributions = []
+        for i in chosen.ids:
+            kind = effects.REGISTRY[i]
+            alone = inquiry.found.single.get(i)
+            other = (alone if alone is not None and len(chosen.ids) > 1 else chosen).estimate.predicted
+            axes = [a for a in kind.axes if channel != "theta" or a != "segment"] or ["everywhere"]
+            contributions.append((kind.block, axes, other - base.estimate.predicted))
+        return where.places(base.estimate, channel, contributions)
+    if inquiry.verdict == "unlisted_effect":
+        gap = base.estimate.error
+        block = effects.REGISTRY[judge.main_of(inquiry.probability, list(inquiry.evidence.left))].block
+        return where.places(base.estimate, channel, [(block, where.loudest(base.estimate, gap)[:2], gap)])
+    return []
+
+
+def _rivals(inquiry: Inquiry, selected: Sequence[str]) -> list[str]:
+    """The main effect and the most probable other that has been refitted."""
+    single = inquiry.found.single
+    known = sorted(single, key=lambda i: -inquiry.probability.get(i, 0.0))
+    first = [i for i in selected if i in single][:1] or known[:1]
+    return [*first, *[i for i in known if i not in first]][:2]
+
+
+def _detectable(inquiry: Inquiry) -> dict[str, dict[str, object]]:
+    kinds, out = {k.id: k for k in inquiry.setting.study.kinds}, {}
+    for i in inquiry.screen.ids:
+        name, value = inquiry.screen.detectable(inquiry.screen.best(i), np.sqrt(inquiry.one))
+        if np.isfinite(value):
+            out[i] = {"parameter": name, "value": value, "unit": kinds[i].fields()[name]["unit"]}
+    return out
+
+
+def _warnings(inquiry: Inquiry) -> list[str]:
+    out, setting = [], inquiry.setting
+    if setting.start_from == NOMINAL:
+        out.append("no model given: geometry and mass are OctRobot-I's; give yours with --model")
+    if inquiry.verdict == "unlisted_effect":
+        out.append(
+            f"the best listed effect leaves {100 * min(min(inquiry.evidence.left.values()), 1.0):.0f} % of the gap: "
+            "what causes it is none of those known here"
+        )
+    if not inquiry.base.estimate.converged:
+        out.append("the base fit stopped before it converged; take the answer with care")
+    return out
+
+
+def _overlay(inquiry: Inquiry, run: Run, chosen: Refit, seen: Sequence[Estimate]):
+    """What the chosen model predicts of a run, and what it leaves, at the log's stamps."""
+    setting = inquiry.setting
+    for motions, estimate in ((setting.train, chosen.estimate), (setting.test, seen[min(1, len(seen) - 2)])):
+        for i, m in enumerate(motions):
+            if m.run is run:
+                mine = estimate.windows.sample_run == i
+                columns = run.signal("shape").columns
+                t = estimate.windows.sample_t[mine]
+                sim = Signal(t, estimate.predicted[mine], columns, "rad", "")
+                residual = Signal(t, estimate.error[mine], columns, "rad", "")
+                return {"/sim": {"shape": sim}, "/residual": {"shape": residual}}
+    return {"/sim": {}, "/residual": {}}
+
+
+def _file(inquiry: Inquiry, refit: Refit) -> ModelFile:
+    """A refit as a model.toml holds it, only the chosen effects in it."""
+    c = refit.estimate.problem.coordinates
+    slope = c.jacobian(refit.estimate.x)
+    sd = np.sqrt(np.maximum(np.diag(slope @ refit.estimate.covariance @ slope.T), 0.0))
+    uncertainty = {n: float(s) for n, s in zip(c.names, sd, strict=True) if np.isfinite(s)}
+    model = replace(refit.model, effects=tuple(refit.effects))
+    return replace(inquiry.setting.start, model=model, uncertainty=uncertainty)

@@ -1,0 +1,215 @@
+"""The inquiry: base, screen, leaders, forward selection, and the evidence that comes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ljjax.fit.windows import Motion
+from ljjax.gap import channels, judge, screening
+from ljjax.gap.candidates import Trial
+from ljjax.gap.channels import Measured
+from ljjax.gap.search import Refit, Study
+from ljjax.logs import Run
+from ljjax.modelfile import ModelFile
+
+LEADERS, FEW, SECOND, MOST = 12, 4, 6, 3
+"""How many candidates are refitted alone, how many where chance promises as much as they do, how many with those found
+before, and how many are found at most."""
+FURTHER, PAIRS = 0.08, 0.25
+"""Shares of the gap, left by one effect, from which a further one is looked for, and from which pairs of others are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What a diagnosis is given.
+
+    Attributes:
+        start, start_from: the model file and where it came from.
+        options, seed, rng: what was asked for, and the source of what is random.
+        runs: all logs; `train` and `test` the motions that are fitted and those on which the gap is measured.
+        said: what each log gave.
+        study: the base's parameters, the candidates and the fitted motions.
+    """
+
+    start: ModelFile
+    start_from: str
+    options: Mapping[str, Any]
+    seed: int
+    rng: np.random.Generator
+    runs: Sequence[Run]
+    train: Sequence[Motion]
+    test: Sequence[Motion]
+    said: list[str]
+    study: Study
+    warnings: list[str] = field(default_factory=list)
+
+
+@dataclass
+class Found:
+    """What the search found: each effect's best refit alone, joint refits by their effects, the best of all."""
+
+    single: dict[str, Refit]
+    joint: dict[tuple[str, ...], Refit]
+    best: Refit
+
+
+class Inquiry:
+    """A diagnosis that has run.
+
+    Attributes:
+        setting: what it was given.
+        base, given: the base refitted, and the given model as it is, on the training runs.
+        screen, measured, found: candidates to first order; what measured inputs say; candidates refitted.
+        floor, excess: of the base's loss, the noise's part and the rest.
+        evidence, probability, verdict, chosen: what comes of it.
+        gained, null, one: the loss that each refit takes away, the largest losses that chance takes away (D,), and the
+            loss that a χ² of 1 stands for.
+    """
+
+    def __init__(self, setting: Setting):
+        study = setting.study
+        self.setting = setting
+        self.base = study.base()
+        self.given = self._given()
+        self.screen = study.screen(self.base)
+        self.measured: Measured = channels.look(setting.train, study.kinds)
+        self.floor = study.floor(sum(len(m.t) for m in setting.train))
+        self.excess = self.base.total - self.floor
+        self.found = self._forward(self._leaders())
+        self.gained = {i: self.base.total - r.total for i, r in self.found.single.items()}
+        self.one = self.unit * max(self.excess, 1e-9)
+        self.null = self.screen.null(setting.rng) * self.one
+        self.evidence = self._evidence()
+        self.probability = judge.probabilities(self.evidence)
+        self.verdict = judge.verdict(self.probability)
+        self.chosen = study.polished(self.found.best) if self.verdict == "listed_effect" else self.base
+
+    def _given(self) -> Refit:
+        study = self.setting.study
+        like = Refit(Trial(), replace(self.base.estimate, model=study.start), self.base.loss)
+        (seen,) = study.predict([like], self.setting.train)
+        return Refit(Trial(), seen, study.loss(seen))
+
+    # --- the search
+
+    def _leaders(self) -> list[Refit]:
+        """The candidates that promise most, refitted alone."""
+        screen, study = self.screen, self.setting.study
+        keys = sorted(screen.gains, key=lambda k: -screen.gains[k])
+        first = [screen.best(i) for i in screen.ids]
+        first = sorted(first, key=lambda k: -screen.gains[k])[: LEADERS if self._promising() else FEW]
+        first += [screen.best(i) for i in self.measured.speaks if i in screen.ids and screen.best(i) not in first]
+        more = [k for k in keys if k not in first and k[0] in {f[0] for f in first[:4]}][:4]
+        trials, steps = [], {}
+        for key in [*first, *more]:
+            trial, step = study.trial(screen, key)
+            trials.append(trial)
+            steps[trial] = step
+        return study.refit(self.base.model, trials, steps, finish=5)
+
+    def _promising(self) -> bool:
+        """Whether there is a gap and some candidate promises more than chance would."""
+        gain, one = max(self.screen.gains.values()), self._variance(self.base)
+        null = self.screen.null(np.random.default_rng(self.setting.seed)) * one
+        return self.excess > judge.MATTERS * self.floor and judge.chance(null, gain, one) < 0.2
+
+    def _forward(self, singles: Sequence[Refit]) -> Found:
+        """Forward selection with backward pruning, and all pairs among the leaders."""
+        study, left = self.setting.study, {}
+        for r in singles:
+            self.measured.listen(self.own_left(r), r.effects)
+        for r in sorted(singles, key=self.left):
+            left.setdefault(r.ids[0], r)
+        if not left:
+            raise FloatingPointError("no candidate simulates on these runs")
+        found = Found(left, {}, next(iter(left.values())))
+        unit = self._unit(found.best)
+        while len(found.best.ids) < MOST:
+            share = self.left(found.best)
+            if share < max(FURTHER, 15 * unit):
+                break
+            on_top = study.screen(found.best)
+            keys = sorted((on_top.best(i) for i in on_top.ids), key=lambda k: -on_top.gains[k])[:SECOND]
+            trials, steps = [], {}
+            for key in keys:
+                trial, step = study.trial(on_top, key, found.best)
+                trials.append(trial)
+                steps[trial] = step
+            if len(found.best.ids) == 1 and share > PAIRS:
+                leaders = [i for i in left if i != found.best.ids[0]][:4]
+                for a, b in ((a, b) for k, a in enumerate(leaders) for b in leaders[k + 1 :]):
+                    joint = {**left[a].free_effects, **left[b].free_effects}
+                    trials.append(Trial((a, b), joint))
+            more = study.refit(found.best.model, trials, steps, stage="several effects", finish=3)
+            for r in more:
+                key = tuple(sorted(r.ids))
+                if key not in found.joint or r.total < found.joint[key].total:
+                    found.joint[key] = r
+            if not more:
+                break
+            better = min(more, key=self.left)
+            if not judge.pairs_worth(share, self.left(better), unit):
+                break
+            found.best = better
+        if len(found.best.ids) > 2:
+            found.best = self._pruned(found.best, unit)
+        return found
+
+    def _pruned(self, best: Refit, unit: float) -> Refit:
+        """Backward: without each of the effects, where the others do nearly as well without it."""
+        start = best.trial.start
+        fewer = [
+            Trial(tuple(i for i in best.ids if i != out), {p: x for p, x in start.items() if p.split(".")[1] != out})
+            for out in best.ids
+        ]
+        for r in self.setting.study.refit(best.model, fewer, stage="pruning"):
+            if not judge.pairs_worth(self.left(r), self.left(best), unit):
+                best = r
+        return best
+
+    # --- what it says
+
+    def own_left(self, refit: Refit) -> float:
+        """The share of the shape's gap that a refit leaves."""
+        return float((refit.total - self.floor) / max(self.excess, 1e-9))
+
+    def left(self, refit: Refit) -> float:
+        """The share of the gap a refit leaves, the measured inputs' own gap among it."""
+        return self.measured.joined(self.own_left(refit), refit.effects)
+
+    @cached_property
+    def unit(self) -> float:
+        """What a χ² of 1 is as a share of the excess, by what the best refit leaves."""
+        return self._unit(self.found.best)
+
+    def _unit(self, refit: Refit) -> float:
+        return self._variance(refit) / max(self.excess, 1e-9)
+
+    def _variance(self, refit: Refit) -> float:
+        """The variance that a refit leaves, its colour counted: the loss that a χ² of 1 stands for."""
+        error = refit.estimate.error / self.setting.study.unit
+        return float(screening.colour(error, refit.estimate.windows.sample_run) * np.mean(error**2))
+
+    def _evidence(self) -> judge.Evidence:
+        screen, found, measured = self.screen, self.found, self.measured
+        left = {i: self.left(r) for i, r in found.single.items()}
+        for i in screen.ids:
+            if i not in left:  # not refitted: what the Jacobian promises, at best
+                promised = 1 - screen.gains[screen.best(i)] / max(self.excess, 1e-9)
+                left[i] = max(measured.joined(promised, ()), 0.35)
+        size = {i: found.single[i].trial.size if i in found.single else 1 for i in left}
+        if len(found.best.ids) > 1:
+            least = self.left(found.best)
+            alone = min(left[i] for i in found.best.ids)
+            for i in left:
+                left[i] = least if i in found.best.ids else left[i] / max(alone, 1e-9) * max(alone, 0.5)
+        chance = judge.chance(self.null, max(self.gained.values(), default=0.0), self.one)
+        count = len(self.setting.study.names)
+        worse = (self.given.total - self.base.total) / max(self._variance(self.base), 1e-12)
+        as_given = worse < count + 4 * np.sqrt(2 * count) or self.given.total < 1.01 * self.base.total
+        return judge.Evidence(self.excess / max(self.floor, 1e-9), left, size, self.unit, chance, bool(as_given))

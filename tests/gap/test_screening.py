@@ -1,0 +1,43 @@
+"""What the screen reads off residuals before anything is refitted."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ljjax.effects import REGISTRY
+from ljjax.gap.candidates import pilots, sizes
+from ljjax.gap.screening import waves
+
+
+def residuals(true: float, noise: float = 0.002) -> SimpleNamespace:
+    """Of two runs over bends of ±1.5 rad, a wave of `true` 1/rad in them that the vacuum makes smaller."""
+    rng = np.random.default_rng(5)
+    t = np.linspace(0.0, 10.0, 800)
+    motion = SimpleNamespace(q0=np.zeros(6), input_t=t, vacuum=np.where(t < 5, 0.0, 20.0))
+    bend = np.concatenate([1.5 * np.sin(2 * np.pi * k * t / 10) for k in (2, 3)])
+    size = np.tile(np.where(t < 5, 0.004, 0.002), 2)
+    error = size * np.sin(true * bend + 0.7) + 0.01 * bend**2 + noise * rng.standard_normal(len(bend))
+    windows = SimpleNamespace(y=bend[:, None] / 6, sample_run=np.repeat([0, 1], len(t)), sample_t=np.tile(t, 2))
+    return SimpleNamespace(windows=windows, problem=SimpleNamespace(motions=[motion, motion]), error=error[:, None])
+
+
+@pytest.mark.parametrize("true", [9.0, 23.0, 71.0])
+def test_a_ripple_is_found_among_waves_of_any_length(true):
+    found = waves(residuals(true))
+    assert min(abs(w - true) for w in found) < 1.0
+    assert found == sorted(found) and len(found) <= 4
+    kind = REGISTRY["actuator_ripple"]
+    assert [p["waves"] for p in pilots(kind, {"": 1.0}, found)] == found
+    assert len(pilots(kind, {"": 1.0})) == len(kind.fields()["waves"]["pilots"])
+
+
+def test_only_modes_that_the_log_can_show_are_on_trial():
+    logged = {1: 0, 6: 5}
+    for columns, modes in logged.items():
+        assert sum(n.startswith("mode") for n in sizes(REGISTRY["sensor_bias"], 6, columns)) == modes
+    # joints of unequal stiffness bend unequally under gravity, and the mean angle shows some of it
+    assert sizes(REGISTRY["nonuniform_stiffness"], 6, 1) == ["mode1", "mode2"]
+    assert sizes(REGISTRY["nonuniform_stiffness"], 2, 1) == ["mode1"]
