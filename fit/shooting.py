@@ -13,7 +13,7 @@ import math
 import os
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -121,25 +121,50 @@ def together(asking: Sequence[Asking[T]], progress: Callable[[int, int], None] |
 def answer_all(requests: Sequence[Request]) -> list[Answer]:
     """Simulate the windows of all requests, those of one form in shared tiles."""
     groups: dict[Any, list[int]] = {}
-    for i, r in enumerate(requests):
+    parts = [part for r in requests for part in _parts(r)]
+    for i, r in enumerate(parts):
         form = jax.tree.structure(r.model), _padded(r), r.windows.y.shape[1] > 1, r.onward, r.windows.h
         groups.setdefault(form, []).append(i)
-    answers: list[Any] = [None] * len(requests)
+    answers: list[Any] = [None] * len(parts)
     for (_, width, joints, onward, _), members in groups.items():
-        asked = [requests[i] for i in members]
+        asked = [parts[i] for i in members]
         found = _onward(asked, width, joints) if onward else _answer(asked, width, joints)
         for i, answer in zip(members, found, strict=True):
             answers[i] = answer
-    return answers
+    rest = iter(answers)
+    return [_whole([next(rest) for _ in _parts(r)]) for r in requests]
 
 
-LEAST, WIDER = 20, 8
+LEAST, WIDER, ACROSS = 20, 8, 8
+"""Derivatives that a kernel takes with effects, so that candidates share one compilation: of windows so many at least
+and in steps of so many; of free runs so many, and the others beside them in the batch."""
+
+
+def _derivatives(request: Request) -> int:
+    return jax.tree.leaves(request.slopes)[0].shape[0]
 
 
 def _padded(request: Request) -> int:
-    """How many derivatives the kernel takes: with effects in steps, so that candidates share one compilation."""
-    k = jax.tree.leaves(request.slopes)[0].shape[0]
+    """How many derivatives the kernel takes."""
+    k = _derivatives(request)
+    if request.onward:
+        return ACROSS
     return LEAST + WIDER * max(0, math.ceil((k - LEAST) / WIDER)) if request.model.effects else k
+
+
+def _parts(request: Request) -> list[Request]:
+    """A request, or the requests for some of its derivatives each that a kernel can take."""
+    if not request.onward or _derivatives(request) <= ACROSS:
+        return [request]
+    places = range(0, _derivatives(request), ACROSS)
+    return [replace(request, slopes=jax.tree.map(lambda s, a=a: s[a : a + ACROSS], request.slopes)) for a in places]
+
+
+def _whole(parts: Sequence[Answer]) -> Answer:
+    if len(parts) == 1:
+        return parts[0]
+    own = [p.jacobian[..., :-1] for p in parts[:-1]]
+    return replace(parts[0], jacobian=np.concatenate([*own, parts[-1].jacobian], axis=-1))
 
 
 class _Batch:
@@ -346,7 +371,7 @@ class _Samples:
 
     def __init__(self, request: Request):
         w = self.windows = request.windows
-        self.k = jax.tree.leaves(request.slopes)[0].shape[0]
+        self.k = _derivatives(request)
         self.predicted = np.full(w.y.shape, np.nan)
         self.jacobian = np.full((*w.y.shape, self.k + 1), np.nan, np.float32 if request.onward else float)
         late = [(float(d), s.latency_s()) for e, s in _effects(request) if (d := e.latency_s()) is not None]

@@ -8,8 +8,8 @@ what happens in the sheath behind it; it can only confirm.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,8 +20,10 @@ from ljjax.effect import Effect, Now
 from ljjax.fast import mean
 from ljjax.fit.least_squares import solve
 from ljjax.fit.windows import Motion, white_noise
+from ljjax.gap.candidates import pilots
+from ljjax.gap.screening import waves_in
 
-STEP_S = 0.0025
+STEP_S, ITERATIONS = 0.005, 20
 SPEAKS = 1.3
 """A channel speaks if its RMS distance from the command is so many times its noise, and an effect explains some."""
 EXPLAINS = 0.3
@@ -32,6 +34,13 @@ AGREES, CONTRADICTS, AGAINST = 0.5, 1.3, 0.3
 that puts it further off by this factor; that counts as so much of the gap left."""
 
 
+class Fitted(NamedTuple):
+    """An effect as fitted to the shape, and the standard deviations of its free parameters by name."""
+
+    effect: Effect
+    sd: Mapping[str, float]
+
+
 @dataclass(frozen=True, eq=False)
 class Channel:
     """One measured input.
@@ -39,15 +48,17 @@ class Channel:
     Attributes:
         name: `tension` [N] or `pressure` [kPa].
         rms, noise: of measured − commanded, and of its white part.
-        left: by effect, the share of the mean square beyond noise that it leaves.
-        error: predicted − measured through an effect with such parameters, or none; `inside` where it counts.
+        left: by effect, the share of the mean square beyond noise that it leaves; `values` its parameters then.
+        error: (m, N) predicted − measured through an effect of parameters (m, p), or none; `inside` (N,) where it
+            counts.
     """
 
     name: str
     rms: float
     noise: float
     left: Mapping[str, float]
-    error: Callable[[type[Effect] | None, Any], np.ndarray]
+    values: Mapping[str, Mapping[str, float]]
+    error: Callable[[type[Effect] | None, np.ndarray], np.ndarray]
     inside: np.ndarray
 
     @property
@@ -59,15 +70,42 @@ class Channel:
         """Whether it differs from its command in a way that an effect explains."""
         return bool(self.left) and self.rms > SPEAKS * self.noise and self.left[self.best] < 1 - EXPLAINS
 
-    def rms_with(self, effects: Sequence[Effect]) -> float | None:
-        """RMS of measured − predicted with the one of these effects that acts here and suits best; None for none."""
+    def rms_with(self, fitted: Sequence[Fitted]) -> float | None:
+        """RMS of measured − predicted with the one of these effects that acts here and suits best; None for none. Its
+        parameters may move as far as the shape leaves them uncertain."""
         hook = "actuate" if self.name == "tension" else "evacuate"
-        out = []
-        for e in effects:
-            if _acts(type(e), hook):
-                r = self.error(type(e), [float(getattr(e, n)) for n in e.fields()])
-                out.append(float(np.sqrt(np.mean(r[self.inside] ** 2))))
-        return min(out, default=None)
+        return min((self._suited(f) for f in fitted if _acts(type(f.effect), hook)), default=None)
+
+    def _suited(self, fitted: Fitted) -> float:
+        kind, about = type(fitted.effect), fitted.effect.fields()
+        x0 = np.array([float(getattr(fitted.effect, n)) for n in about])
+        first = float(np.sqrt(np.mean(self.error(kind, x0[None])[0, self.inside] ** 2)))
+        if self.leaves(first) < AGREES:
+            return first
+        slack = np.array([3 * fitted.sd.get(n, 0.0) + 0.05 * x["scale"] * (n in fitted.sd) for n, x in about.items()])
+        low, high = (np.array([x[side] for x in about.values()]) for side in ("low", "high"))
+        return min(first, self.fit(kind, x0, np.maximum(x0 - slack, low), np.minimum(x0 + slack, high), slack)[0])
+
+    def fit(
+        self, kind: type[Effect], x0: np.ndarray, lower: np.ndarray, upper: np.ndarray, scales: np.ndarray
+    ) -> tuple[float, np.ndarray]:
+        """The least RMS of an effect of parameters between bounds (p,), from x0, and those parameters."""
+        free = np.flatnonzero(upper > lower)
+
+        def residuals(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            x = x0.copy()
+            x[free] = part
+            steps = 1e-4 * np.maximum(np.abs(x), scales)
+            r, *moved = self.error(kind, x + np.vstack([np.zeros_like(x), np.diag(steps)]))[:, self.inside] / self.noise
+            return r, np.stack([(moved[i] - r) / steps[i] for i in free], axis=1)
+
+        try:
+            found = solve(residuals, x0[free], lower[free], upper[free], ITERATIONS)
+        except (np.linalg.LinAlgError, FloatingPointError):
+            return np.inf, x0
+        x = x0.copy()
+        x[free] = found.x
+        return float(np.sqrt(np.mean(found.residual**2))) * self.noise, x
 
     def leaves(self, rms: float) -> float:
         """The share of its mean square beyond noise that an RMS stands for."""
@@ -92,26 +130,28 @@ class Measured:
         ]
 
     @property
-    def speaks(self) -> list[str]:
-        """Effects that explain a channel that speaks, the best of each first."""
-        out: list[str] = []
+    def speaks(self) -> dict[str, Mapping[str, float]]:
+        """Effects that explain a channel that speaks, the best of each first, with their parameters there."""
+        out: dict[str, Mapping[str, float]] = {}
         for c in self.channels:
             if c.speaks:
-                out += [i for i in sorted(c.left, key=lambda i: c.left[i]) if c.left[i] < 1 - EXPLAINS]
-        return list(dict.fromkeys(out))
+                for i in sorted(c.left, key=lambda i: c.left[i]):
+                    if c.left[i] < 1 - EXPLAINS:
+                        out.setdefault(i, c.values[i])
+        return out
 
-    def listen(self, left: float, effects: Sequence[Effect]) -> None:
+    def listen(self, left: float, fitted: Sequence[Fitted]) -> None:
         """Note the channels that confirm effects which leave such a share of the shape's gap."""
         for c in self.channels:
-            rms = c.rms_with(effects)
+            rms = c.rms_with(fitted)
             if c.speaks and rms is not None and c.leaves(rms) < AGREES and left < 0.9:
                 self.heard.add(c.name)
 
-    def joined(self, left: float, effects: Sequence[Effect]) -> float:
+    def joined(self, left: float, fitted: Sequence[Fitted]) -> float:
         """The share left of the shape's gap and of those of the channels that are heard, together."""
         out = left
         for c in self.channels:
-            rms = c.rms_with(effects)
+            rms = c.rms_with(fitted)
             if c.name in self.heard:
                 out = (1 - WEIGHT) * out + WEIGHT * (1.0 if rms is None else min(c.leaves(rms), 1.0))
             if c.name == "tension" and rms is not None and rms > CONTRADICTS * max(c.rms, c.noise):
@@ -137,95 +177,99 @@ def _acts(kind: type[Effect], hook: str) -> bool:
 
 
 def _channel(name: str, signal: str, motions: Sequence[Motion], kinds: Sequence[type[Effect]]) -> Channel:
-    longest = max(float(m.run.signals[signal].t[-1] - m.input_t[0]) for m in motions)
-    runs = [_Sampled(m, signal, int(np.ceil(longest / STEP_S)) + 1) for m in motions]
-    noise = np.sqrt(np.mean([r.noise**2 for r in runs]))
-    y = np.concatenate([r.y.ravel() for r in runs])
-    weight = 1 / max(float(noise), 1e-6)
-
-    def error(kind: type[Effect] | None, x: np.ndarray) -> np.ndarray:
-        return np.concatenate([r.predicted(kind, x).ravel() for r in runs]) - y
-
-    base = error(None, np.zeros(0))
+    inputs = _Inputs(motions, signal)
+    noise, base = inputs.noise, inputs.error(None, np.zeros((1, 0)))[0]
     limit = 6 * 1.4826 * np.median(np.abs(base - np.median(base))) + 20 * noise
     inside = np.abs(base) < max(limit, np.quantile(np.abs(base), 0.99))
     rms = float(np.sqrt(np.mean(base[inside] ** 2)))
-    left: dict[str, float] = {}
+    channel = Channel(name, rms, noise, {}, {}, inputs.error, inside)
     if rms > SPEAKS * noise:
-        for kind in kinds:
-            best = _explained(kind, error, inside, weight, max(float(m.tendons.max()) for m in motions))
-            left[kind.id] = float(max(best**2 - noise**2, 0.0) / (rms**2 - noise**2))
-    return Channel(name, rms, float(noise), left, error, inside)
+        top = max(float(m.tendons.max()) for m in motions)
+        scale = {"tension": top, "angle": 1.0, "": 1.0}
+        waves = inputs.waves(base)
+        found = {k.id: _explained(k, channel, pilots(k, scale, waves)) for k in kinds}
+        left = {i: channel.leaves(rms) for i, (rms, _) in found.items()}
+        channel = replace(channel, left=left, values={i: values for i, (_, values) in found.items()})
+    return channel
 
 
-def _explained(kind: type[Effect], error: Any, inside: np.ndarray, weight: float, top: float) -> float:
-    """RMS that an effect leaves at best."""
+def _explained(
+    kind: type[Effect], channel: Channel, forms: Sequence[Mapping[str, float]]
+) -> tuple[float, dict[str, float]]:
+    """RMS that an effect leaves at best, begun from some forms, and its parameters then."""
     about = kind.fields()
-    lower = np.array([x["low"] for x in about.values()])
-    upper = np.array([x["high"] for x in about.values()])
-    best = np.inf
-    forms = [n for n, x in about.items() if x["pilots"]]
-    starts = [
-        [
-            (p * (top if x["of"] == "tension" else 1.0) if n in forms else x["null"] + 0.5 * x["scale"])
-            for n, x in about.items()
-        ]
-        for p in (about[forms[0]]["pilots"] if forms else (0.0,))
-    ]
-    for start in starts:
-        x0 = np.clip(start, lower, upper)
-
-        def residuals(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            r = error(kind, x)
-            steps = 1e-4 * np.maximum(np.abs(x), [a["scale"] for a in about.values()])
-            j = np.stack([(error(kind, x + d) - r) / s for d, s in zip(np.diag(steps), steps, strict=True)], axis=1)
-            return (r * weight)[inside], (j * weight)[inside]
-
-        try:
-            found = solve(residuals, x0, lower, upper)
-        except (np.linalg.LinAlgError, FloatingPointError):
-            continue
-        rms = float(np.sqrt(np.mean(error(kind, found.x)[inside] ** 2)))
-        best = min(best, rms)
-    return best
+    lower, upper = (np.array([x[side] for x in about.values()]) for side in ("low", "high"))
+    scales = np.array([x["scale"] for x in about.values()])
+    starts = [[f.get(n, x["null"] + 0.5 * x["scale"]) for n, x in about.items()] for f in forms]
+    found = [channel.fit(kind, np.clip(x, lower, upper), lower, upper, scales) for x in starts]
+    rms, x = min(found, key=lambda f: f[0])
+    return min(rms, channel.rms), dict(zip(about, map(float, x), strict=True))
 
 
-class _Sampled:
-    """One run's measured input at its stamps, and what its command and an effect make of it."""
+class _Inputs:
+    """Measured inputs of all runs at their stamps, and what their commands and an effect make of them."""
 
-    def __init__(self, m: Motion, signal: str, count: int):
-        s = m.run.signals["tendons"] if signal == "tendons" else m.run.vacuum_kpa("pressure")
-        self.signal, self.m = signal, m
-        begin = max(float(m.input_t[0]), float(s.t[0]))
-        keep = s.t >= begin
-        self.t, self.y = s.t[keep], s.value[keep]
-        self.noise = np.maximum(np.sqrt(np.mean(white_noise(self.y) ** 2)), 1e-6)
-        self.edges = begin + STEP_S * np.arange(count + 1)
-        theta = np.stack([np.interp(self.edges[:-1], m.t, c) for c in m.y.T], axis=1)
-        n = len(m.q0)
-        self.q = np.broadcast_to(theta, (count, n)) if theta.shape[1] != n else theta
-        self.vacuum = mean(m.input_t, m.vacuum[:, None], self.edges, m.hold, np)[:, 0]
+    def __init__(self, motions: Sequence[Motion], signal: str):
+        self.motions, self.tension = motions, signal == "tendons"
+        given = [m.run.signals[signal] if self.tension else m.run.vacuum_kpa(signal) for m in motions]
+        longest = max(float(s.t[-1] - m.input_t[0]) for s, m in zip(given, motions, strict=True))
+        count = int(np.ceil(longest / STEP_S)) + 1
+        self.t, self.edges, y, vacuum, q = [], [], [], [], []
+        for s, m in zip(given, motions, strict=True):
+            begin = max(float(m.input_t[0]), float(s.t[0]))
+            self.t.append(s.t[s.t >= begin])
+            y.append(s.value[s.t >= begin])
+            edges = begin + STEP_S * np.arange(count + 1)
+            self.edges.append(edges)
+            theta = np.stack([np.interp(edges[:-1], m.t, c) for c in m.y.T], axis=1)
+            q.append(np.broadcast_to(theta, (count, len(m.q0))))
+            vacuum.append(mean(m.input_t, m.vacuum[:, None], edges, m.hold, np)[:, 0])
+        self.y = np.concatenate([x.ravel() for x in y])
+        self.noise = max(float(np.sqrt(np.mean([np.mean(white_noise(x) ** 2) for x in y]))), 1e-6)
+        self.drive = self._commanded(0.0), np.stack(vacuum), np.stack(q)
 
-    def predicted(self, kind: type[Effect] | None, x: np.ndarray) -> np.ndarray:
-        """(N, c) the input at the stamps, by linear interpolation between the middles of steps."""
-        delay = 0.0
-        effect = None
-        if kind is not None:
-            effect = kind(*x)
-            delay = float(d) if (d := effect.delay_s()) is not None else 0.0
-        tendons = mean(self.m.input_t, self.m.tendons, self.edges - delay, self.m.hold, np)
-        if effect is not None and delay == 0.0:
-            out = _through(effect, tendons, self.vacuum, self.q, self.signal == "tendons")
-            series = np.asarray(out)
+    def _commanded(self, delay: float) -> np.ndarray:
+        """(R, T, 2) mean commanded tensions of the steps, so much later."""
+        edges = zip(self.motions, self.edges, strict=True)
+        return np.stack([mean(m.input_t, m.tendons, e - delay, m.hold, np) for m, e in edges])
+
+    def waves(self, error: np.ndarray) -> list[float]:
+        """The waves over the body's bend [1/rad] that the net tension's error (N,) has most of."""
+        if not self.tension:
+            return []
+        net = error.reshape(-1, 2) @ [1.0, -1.0]
+        runs = np.split(net, np.cumsum([len(t) for t in self.t])[:-1])
+        bends = self.drive[2].sum(axis=2)
+        pieces = zip(self.t, self.edges, bends, runs, strict=True)
+        return waves_in([(np.interp(t, e[:-1], bend), own) for t, e, bend, own in pieces])
+
+    def error(self, kind: type[Effect] | None, x: np.ndarray) -> np.ndarray:
+        """(m, N) predicted − measured through an effect of the parameters x (m, p), or none; at the stamps by linear
+        interpolation between the middles of steps."""
+        commanded, vacuum, _ = self.drive
+        if kind is None:
+            series = (commanded if self.tension else vacuum[..., None])[None]
+        elif kind.delay_s is not Effect.delay_s:
+            delays = [kind(*row).delay_s() for row in x]
+            series = np.stack([self._commanded(float(d)) for d in delays if d is not None])
         else:
-            series = tendons if self.signal == "tendons" else self.vacuum[:, None]
-        middle = self.edges[:-1] + 0.5 * STEP_S
-        return np.stack([np.interp(self.t, middle, c) for c in series.T], axis=1)
+            series = np.asarray(_through(kind(*x.T), *self.drive, self.tension))
+        out = []
+        for row in series:
+            at = [
+                np.interp(t, e[:-1] + 0.5 * STEP_S, c)
+                for t, e, own in zip(self.t, self.edges, row, strict=True)
+                for c in own.T
+            ]
+            columns = row.shape[-1]
+            runs = [np.stack(at[i : i + columns], axis=1).ravel() for i in range(0, len(at), columns)]
+            out.append(np.concatenate(runs) - self.y)
+        return np.stack(out)
 
 
 @eqx.filter_jit
-def _through(effect: Effect, tendons: Any, vacuum: Any, q: Any, tension: bool) -> jax.Array:
-    """(T, 2) tensions or (T, 1) vacuum after an effect."""
+def _through(effects: Effect, tendons: Any, vacuum: Any, q: Any, tension: bool) -> jax.Array:
+    """(m, R, T, 2) tensions or (m, R, T, 1) vacuum after effects of (m,) parameters."""
     tendons, vacuum, q = jnp.asarray(tendons), jnp.asarray(vacuum), jnp.asarray(q)
     zero = jnp.zeros(())
 
@@ -234,13 +278,17 @@ def _through(effect: Effect, tendons: Any, vacuum: Any, q: Any, tension: bool) -
         still = tuple(zero for _ in joints)
         return Now(None, zero, zero + STEP_S, joints, still, still, joints, (u[0], u[1]), p, zero, zero)
 
-    def step(memory: Any, given: Any) -> tuple[Any, jax.Array]:
-        here = now(*given)
-        if tension:
-            u, memory = effect.actuate(memory, here.u, here)
-            return memory, jnp.stack(u)
-        p, memory = effect.evacuate(memory, here.vacuum, here)
-        return memory, jnp.stack([p])
+    def one(effect: Effect, tendons: jax.Array, vacuum: jax.Array, q: jax.Array) -> jax.Array:
+        def step(memory: Any, given: Any) -> tuple[Any, jax.Array]:
+            here = now(*given)
+            if tension:
+                u, memory = effect.actuate(memory, here.u, here)
+                return memory, jnp.stack(u)
+            p, memory = effect.evacuate(memory, here.vacuum, here)
+            return memory, jnp.stack([p])
 
-    first = effect.start(now(tendons[0], vacuum[0], q[0]))
-    return jax.lax.scan(step, first, (tendons, vacuum, q))[1]
+        first = effect.start(now(tendons[0], vacuum[0], q[0]))
+        return jax.lax.scan(step, first, (tendons, vacuum, q))[1]
+
+    runs = jax.vmap(one, in_axes=(None, 0, 0, 0))
+    return jax.vmap(runs, in_axes=(0, None, None, None))(effects, tendons, vacuum, q)

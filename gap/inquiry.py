@@ -17,9 +17,11 @@ from ljjax.gap.search import Refit, Study
 from ljjax.logs import Run
 from ljjax.modelfile import ModelFile
 
-LEADERS, FEW, SECOND, MOST = 12, 4, 6, 3
+LEADERS, FEW, SECOND, MOST = 12, 4, 5, 3
 """How many candidates are refitted alone, how many where chance promises as much as they do, how many with those found
 before, and how many are found at most."""
+HEARD = 3
+"""How many effects that measured inputs show are begun as they show there."""
 FURTHER, PAIRS = 0.08, 0.25
 """Shares of the gap, left by one effect, from which a further one is looked for, and from which pairs of others are."""
 
@@ -74,6 +76,7 @@ class Inquiry:
     def __init__(self, setting: Setting):
         study = setting.study
         self.setting = setting
+        self._joined: dict[Refit, float] = {}
         self.base = study.base()
         self.given = self._given()
         self.screen = study.screen(self.base)
@@ -110,7 +113,17 @@ class Inquiry:
             trial, step = study.trial(screen, key)
             trials.append(trial)
             steps[trial] = step
-        return study.refit(self.base.model, trials, steps, finish=5)
+        trials += self._heard()
+        return study.refit(self.base.model, trials, screen, steps, finish=4, sure=3)
+
+    def _heard(self, onto: Refit | None = None) -> list[Trial]:
+        """Effects that measured inputs show, begun as they show there."""
+        ids, before = (onto.ids, onto.free_effects) if onto else ((), {})
+        return [
+            Trial((*ids, i), {**before, **{f"effects.{i}.{n}": x for n, x in values.items()}})
+            for i, values in self.measured.speaks.items()
+            if i not in ids and i in self.screen.ids
+        ][:HEARD]
 
     def _promising(self) -> bool:
         """Whether there is a gap and some candidate promises more than chance would."""
@@ -122,7 +135,7 @@ class Inquiry:
         """Forward selection with backward pruning, and all pairs among the leaders."""
         study, left = self.setting.study, {}
         for r in singles:
-            self.measured.listen(self.own_left(r), r.effects)
+            self.measured.listen(self.own_left(r), r.fitted)
         for r in sorted(singles, key=self.left):
             left.setdefault(r.ids[0], r)
         if not left:
@@ -140,12 +153,13 @@ class Inquiry:
                 trial, step = study.trial(on_top, key, found.best)
                 trials.append(trial)
                 steps[trial] = step
+            trials += self._heard(found.best)
             if len(found.best.ids) == 1 and share > PAIRS:
                 leaders = [i for i in left if i != found.best.ids[0]][:4]
                 for a, b in ((a, b) for k, a in enumerate(leaders) for b in leaders[k + 1 :]):
                     joint = {**left[a].free_effects, **left[b].free_effects}
                     trials.append(Trial((a, b), joint))
-            more = study.refit(found.best.model, trials, steps, stage="several effects", finish=3)
+            more = study.refit(found.best.model, trials, on_top, steps, stage="several effects", finish=2, sure=1)
             for r in more:
                 key = tuple(sorted(r.ids))
                 if key not in found.joint or r.total < found.joint[key].total:
@@ -167,7 +181,7 @@ class Inquiry:
             Trial(tuple(i for i in best.ids if i != out), {p: x for p, x in start.items() if p.split(".")[1] != out})
             for out in best.ids
         ]
-        for r in self.setting.study.refit(best.model, fewer, stage="pruning"):
+        for r in self.setting.study.refit(best.model, fewer, self.screen, stage="pruning"):
             if not judge.pairs_worth(self.left(r), self.left(best), unit):
                 best = r
         return best
@@ -180,7 +194,9 @@ class Inquiry:
 
     def left(self, refit: Refit) -> float:
         """The share of the gap a refit leaves, the measured inputs' own gap among it."""
-        return self.measured.joined(self.own_left(refit), refit.effects)
+        if refit not in self._joined:
+            self._joined[refit] = self.measured.joined(self.own_left(refit), refit.fitted)
+        return self._joined[refit]
 
     @cached_property
     def unit(self) -> float:
@@ -205,9 +221,13 @@ class Inquiry:
         size = {i: found.single[i].trial.size if i in found.single else 1 for i in left}
         if len(found.best.ids) > 1:
             least = self.left(found.best)
-            alone = min(left[i] for i in found.best.ids)
+            alone = {i: left[i] for i in found.best.ids}
+            least_alone = min(alone.values())
             for i in left:
-                left[i] = least if i in found.best.ids else left[i] / max(alone, 1e-9) * max(alone, 0.5)
+                if i in alone:  # the main one is that without which most is left
+                    left[i] = least + 0.15 * (alone[i] - least_alone) / max(max(alone.values()) - least, 1e-9)
+                else:
+                    left[i] = left[i] / max(least_alone, 1e-9) * max(least_alone, 0.5)
         chance = judge.chance(self.null, max(self.gained.values(), default=0.0), self.one)
         count = len(self.setting.study.names)
         worse = (self.given.total - self.base.total) / max(self._variance(self.base), 1e-12)

@@ -21,9 +21,11 @@ from ljjax.fit.windows import Motion, cut
 from ljjax.gap.candidates import path, pilots, sizes
 from ljjax.model import Model, limits, replace
 
-ROOM = 20
+ROOM = 24
 """Columns that fit in one program."""
 DRAWS = 2000
+USUAL = 3.0
+"""Parameters that the runs leave open start within so many of their typical sizes."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Screen:
         gains: by (effect, form), the drop of χ² to first order.
         steps: by (effect, form), parameter → value at that gain.
         base_step: by (effect, form), (k,) how far the base's coordinates move along.
-        angle: by (effect, form) pairs, cosine of the angle between the traces.
+        base_jacobian: (N, c, k + 1) derivatives of the predictions by the base's coordinates and the starting angles.
     """
 
     columns: Sequence[Column]
@@ -59,6 +61,7 @@ class Screen:
     gains: Mapping[tuple[str, int], float]
     steps: Mapping[tuple[str, int], Mapping[str, float]]
     base_step: Mapping[tuple[str, int], np.ndarray]
+    base_jacobian: np.ndarray
 
     def of(self, key: tuple[str, int]) -> list[int]:
         """The columns of an effect's form."""
@@ -167,28 +170,35 @@ WAVES = np.arange(4.0, 120.0, 0.4)
 """Waves over the body's whole bend that are looked for [1/rad]."""
 
 
-def waves(found: Estimate, count: int = 4) -> list[float]:
-    """The waves over the body's whole bend [1/rad] of which the residuals have most, found by a periodogram: what a
-    bend of a third order leaves in each run, by sines and cosines of amplitudes of their own at three pressures."""
-    windows = found.windows
+def waves(found: Estimate) -> list[float]:
+    """The waves over the body's whole bend [1/rad] of which the residuals have most, at three pressures each."""
+    windows, error = found.windows, found.error.mean(axis=1)
     bend = windows.y.mean(axis=1) * len(found.problem.motions[0].q0)
-    error, power = found.error.mean(axis=1), np.zeros(len(WAVES))
+    pieces = []
     for i, m in enumerate(found.problem.motions):
         mine = np.flatnonzero(windows.sample_run == i)
         vacuum = np.interp(windows.sample_t[mine], m.input_t, m.vacuum)
         group = np.digitize(vacuum, np.quantile(vacuum, [1 / 3, 2 / 3]))
-        for g in np.unique(group):
-            x, e = bend[mine[group == g]], error[mine[group == g]]
-            if np.ptp(x) < 0.2:
-                continue
-            curve = np.vander(x, 4)
-            e = e - curve @ np.linalg.lstsq(curve, e, rcond=None)[0]
-            phase = np.exp(1j * np.outer(WAVES, x))
-            power += np.where(WAVES * np.ptp(x) > 2 * np.pi, np.abs(phase @ e) ** 2 / len(x), 0.0)
-    apart = 2 * np.pi / max(float(np.ptp(bend)), 0.2)
+        pieces += [(bend[mine[group == g]], error[mine[group == g]]) for g in np.unique(group)]
+    return waves_in(pieces)
+
+
+def waves_in(pieces: Sequence[tuple[np.ndarray, np.ndarray]], count: int = 4) -> list[float]:
+    """The waves [1/rad] of which errors over bends have most, pieces (N,), (N,) at a time: a periodogram of what a
+    curve of third order leaves of each."""
+    power, widest = np.zeros(len(WAVES)), 0.2
+    for x, e in pieces:
+        wide = float(np.ptp(x)) if len(x) > 4 else 0.0
+        if wide < 0.2:
+            continue
+        curve = np.vander(x, 4)
+        e = e - curve @ np.linalg.lstsq(curve, e, rcond=None)[0]
+        phase = np.exp(1j * np.outer(WAVES, x))
+        power += np.where(WAVES * wide > 2 * np.pi, np.abs(phase @ e) ** 2 / len(x), 0.0)
+        widest = max(widest, wide)
     out: list[float] = []
     for k in np.argsort(-power):
-        if power[k] > 0 and all(abs(WAVES[k] - w) > apart for w in out):
+        if power[k] > 0 and all(abs(WAVES[k] - w) > 2 * np.pi / widest for w in out):
             out.append(float(WAVES[k]))
         if len(out) == count:
             break
@@ -227,14 +237,16 @@ def gather(
         g = gram[np.ix_(i, i)] * np.outer(size, size)
         x = np.zeros(len(i))
         if np.trace(g) > 1e-9:
-            root = np.linalg.cholesky(g + 1e-9 * np.trace(g) * np.eye(len(i))).T
+            root = np.linalg.cholesky(g + (1e-9 * np.trace(g) + 1 / USUAL**2) * np.eye(len(i))).T
             target = np.linalg.solve(root.T, score[i] * size)
             bounds = (np.minimum(low / size, -1e-12), np.maximum(high / size, 1e-12))
             x = lsq_linear(root, target, bounds=bounds).x * size
         gains[key] = float(2 * score[i] @ x - x @ gram[np.ix_(i, i)] @ x)
         steps[key] = {columns[j].name: float(v) for j, v in zip(i, x, strict=True)}
         base_steps[key] = inverse @ (q.T @ r.reshape(-1) - along[:, i] @ x)
-    return Screen(columns, forms, gram, score, sigma, gains, steps, base_steps)
+    assert first.point is not None
+    whole = first.point.answer.jacobian
+    return Screen(columns, forms, gram, score, sigma, gains, steps, base_steps, whole)
 
 
 def _projected(search: Search, scaled_by: Search | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

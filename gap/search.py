@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
+import jax
 import numpy as np
 
 from ljjax.effect import Effect
 from ljjax.fit.coordinates import Coordinates
 from ljjax.fit.dynamic import HUBER, Estimate, Problem, Round, Search, estimate
-from ljjax.fit.shooting import TILE, Asking, together
-from ljjax.fit.windows import Motion, cut
+from ljjax.fit.shooting import TILE, Answer, Asking, Request, Starts, together
+from ljjax.fit.windows import Motion, Windows, cut
 from ljjax.gap import screening
 from ljjax.gap.candidates import Trial, path, universal
+from ljjax.gap.channels import Fitted
 from ljjax.gap.screening import Screen
 from ljjax.model import Model, limits, replace
 
 BASE = (Round(0.01, False, np.inf, 2 * TILE, 0.1, 1e-2), Round(0.01, True, 1e-4, 1_000_000, 0.5, 3e-4))
 QUICK = Round(0.01, True, np.inf, 1_000_000, 0.5, 2e-4, onward=True)
 """How candidates are compared: free runs one window after the other, at the longest step that is as good as noise."""
-FIRST, LAST, WHOLE = 3, 5, 8
-"""Iterations for all candidates, more of them for the best, and for the answer."""
+FIRST, LAST, WHOLE = 4, 5, 8
+"""Iterations for all candidates, by derivatives of the base that stay as they were; of the best; and for the answer."""
 Tell = Callable[[str, int, int], None]
 
 
@@ -55,6 +59,11 @@ class Refit:
     def effects(self) -> list[Effect]:
         """The effects set free, as fitted."""
         return [e for e in self.model.effects if e.id in self.ids]
+
+    @cached_property
+    def fitted(self) -> list[Fitted]:
+        """The effects set free, as fitted, with the standard deviations of their parameters."""
+        return [Fitted(e, {n: sd for n, (_, sd) in self.values(e.id).items()}) for e in self.effects]
 
     @property
     def free_effects(self) -> dict[str, float]:
@@ -117,16 +126,21 @@ class Study:
         self,
         like: Model,
         trials: Sequence[Trial],
+        screen: Screen,
         steps: Mapping[Trial, np.ndarray] | None = None,
         stage: str = "candidates",
         finish: int = 1,
+        sure: int = 0,
     ) -> list[Refit]:
         """Base and effects of each trial refitted together, all trials side by side, from the model `like`; `steps`
-        are first moves of the base's coordinates. A few iterations for all of them, more for the `finish` best.
-        Trials that fail are left out."""
-        first = self._refit([self._begun(like, t) for t in trials], trials, steps or {}, FIRST, stage)
-        order = sorted(first, key=lambda r: r.total)
-        best = [r for r in order[:finish] if not r.estimate.converged]
+        are first moves of the base's coordinates. A few iterations for all of them, the base's derivatives those of
+        the screen; more, with derivatives of their own, for the `finish` best and the first `sure` of the list. Trials
+        that fail are left out."""
+        borrowed = screen.base_jacobian[..., : len(self.names)]
+        begun = [self._begun(like, t) for t in trials]
+        first = self._refit(begun, trials, steps or {}, FIRST, stage, borrowed)
+        best = sorted(first, key=lambda r: r.total)[:finish]
+        best += [r for r in first if any(r.trial is t for t in trials[:sure]) and all(r is not b for b in best)]
         if best:
             again = self._refit([r.model for r in best], [r.trial for r in best], {}, LAST, stage + ", the best")
             better = {id(r.trial): r for r in again}
@@ -153,6 +167,7 @@ class Study:
         steps: Mapping[Trial, np.ndarray],
         iterations: int,
         stage: str,
+        borrowed: np.ndarray | None = None,
     ) -> list[Refit]:
         asked = []
         for model, trial in zip(begun, trials, strict=True):
@@ -163,7 +178,11 @@ class Study:
                 most = 0.25 * c.spread[: len(self.names)]
                 x[: len(self.names)] += np.clip(steps[trial], -most, most)
             problem = Problem(c, self.motions, (), self.priors, self.bounds)
-            asked.append(estimate(problem, x if c.admissible(x) else c.start, (QUICK,), iterations))
+            x = x if c.admissible(x) else c.start
+            known = borrowed is not None
+            asked.append(
+                _chord(problem, x, iterations, borrowed) if known else estimate(problem, x, (QUICK,), iterations)
+            )
         found = together(asked, self._tell(stage))
         return [Refit(t, f, self.loss(f)) for t, f in zip(trials, found, strict=True) if isinstance(f, Estimate)]
 
@@ -231,6 +250,29 @@ class Study:
 
     def _tell(self, stage: str) -> Callable[[int, int], None]:
         return lambda done, count: self.tell(stage, done, count) if self.tell else None
+
+
+class _Chord(Search):
+    """A search of effects whose derivatives by the base's parameters are `borrowed` (N, c, k₀) and stay as they are:
+    half the work for nearly the same steps."""
+
+    def __init__(self, problem: Problem, windows: Windows, borrowed: np.ndarray):
+        super().__init__(problem, windows, QUICK)
+        self.borrowed = borrowed
+
+    def _ask(self, x: np.ndarray, offset: np.ndarray, starts: Starts | None) -> Asking[Answer]:
+        c, count = self.problem.coordinates, self.borrowed.shape[-1]
+        model = jax.tree.map(np.asarray, c.model(x))
+        slopes = jax.tree.map(lambda s: s[count:], c.slopes(x))
+        self.asked += 1
+        answer = yield Request(self.windows, model, slopes, offset[self.group], onward=True)
+        return dataclasses.replace(answer, jacobian=np.concatenate([self.borrowed, answer.jacobian], axis=-1))
+
+
+def _chord(problem: Problem, x: np.ndarray, iterations: int, borrowed: np.ndarray) -> Asking[Estimate]:
+    search, history = _Chord(problem, cut(problem.motions, QUICK.step_s), borrowed), []
+    yield from search.run(x, iterations, history, 0)
+    return dataclasses.replace(search.result(history), converged=False)
 
 
 def _seen(search: Search) -> Asking[Estimate]:

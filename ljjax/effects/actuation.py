@@ -67,18 +67,28 @@ class ActuatorLag(Effect):
 
 
 class ActuatorRipple(Effect):
-    """Cogging over the spool's angle, which goes with the body's: A sin(N s + ψ) = a sin(w q_Σ) + b cos(w q_Σ), taken
-    as a difference of the tensions."""
+    """Ripple over each spool's angle, which goes with the bend and with the stretch c of the tendon, s = ±q_Σ + c T:
+    cogging a sin(w s) + b cos(w s), and as much of each tendon's own tension, of a phase of its own."""
 
     id, block, axes = "actuator_ripple", "actuation", ("angle", "load")
     sine_n: jax.Array = parameter("N", 0.0, -10.0, 10.0, 0.3)
     cosine_n: jax.Array = parameter("N", 0.0, -10.0, 10.0, 0.3)
+    left_sine: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.05)
+    left_cosine: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.05)
+    right_sine: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.05)
+    right_cosine: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.05)
     waves: jax.Array = shape("1/rad", 15.0, 2.0, 200.0, (5.0, 8.0, 12.0, 18.0, 27.0, 40.0), "waves")
+    stretch: jax.Array = shape("rad/N", 0.01, 1e-4, 0.3, (0.001, 0.006, 0.02))
 
     def actuate(self, memory, u, now):
-        phase = self.waves * sum(now.middle)
-        half = 0.5 * (self.sine_n * jnp.sin(phase) + self.cosine_n * jnp.cos(phase))
-        return (u[0] + half, u[1] - half), memory
+        bend = sum(now.middle)
+        own = (self.left_sine, self.left_cosine), (self.right_sine, self.right_cosine)
+        out = []
+        for t, angle, (sine, cosine) in zip(u, (bend, -bend), own, strict=True):
+            phase = self.waves * (angle + self.stretch * t)
+            s, c = jnp.sin(phase), jnp.cos(phase)
+            out.append(t * (1 + sine * s + cosine * c) + 0.5 * (self.sine_n * s + self.cosine_n * c))
+        return tuple(out), memory
 
 
 class TendonSlack(Effect):
@@ -106,11 +116,13 @@ TURN_RAD = 0.01
 
 
 class TendonFriction(Effect):
-    """Capstan friction along the routing: joint k feels T exp(∓μ Σ_{j ≤ k}|q_j|), less in the tendon pulled in, more in
-    the one paid out."""
+    """Friction along the routing: joint k feels T exp(∓(μ Σ_{j ≤ k}|q_j| + ν k)), less in the tendon pulled in, more in
+    the one paid out, from bends (capstan) and from the guides passed; and a drag that the load does not change."""
 
     id, block, axes = "tendon_friction", "actuation", ("direction", "angle", "load")
     mu: jax.Array = parameter("1/rad", 0.0, 0.0, 6.0, 0.2)
+    guide: jax.Array = parameter("1", 0.0, 0.0, 0.5, 0.02)
+    drag_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.3)
 
     def start(self, now):
         return (0.0 * now.q[0],)
@@ -120,8 +132,9 @@ class TendonFriction(Effect):
         out, wrapped = [], 0.0 * now.q[0]
         for i, q in enumerate(now.middle):
             wrapped = wrapped + jnp.abs(q)
-            e = self.mu * wrapped * way
-            out.append(load[i] + arm(now) * (now.u[0] * jnp.expm1(-e) - now.u[1] * jnp.expm1(e)))
+            e = (self.mu * wrapped + self.guide * (i + 1.0)) * way
+            lost = now.u[0] * jnp.expm1(-e) - now.u[1] * jnp.expm1(e) - self.drag_n * way
+            out.append(load[i] + arm(now) * lost)
         return tuple(out)
 
     def remember(self, memory, now, after):

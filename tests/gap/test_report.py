@@ -73,18 +73,16 @@ def diagnosed(
     kinds = [effects.REGISTRY[i] for i in (LAG, DELAY, "tip_payload")]
     study = Some(kinds=kinds, noise=np.full(joints, NOISE), start=given.model, predict=lambda r, m: [seen[0]] * len(r))
     channel = Some(name="tension", rms=0.4, noise=0.1, left={LAG: 0.1}, best=LAG, speaks=True)
-    story = Story(
-        Some(study=study, test=test),
-        base,
-        before,
-        Some(best=lambda i: (i, 0), alike=lambda a, b: 0.87),
-        Some(single=single, joint={}, best=chosen),
-        Some(channels=change.pop("channels", [channel])),
-        Some(left={LAG: 0.1, DELAY: 0.4}),
-        chosen,
-        seen,
-        {},
+    inquiry: Any = Some(
+        setting=Some(study=study, test=test),
+        base=base,
+        given=before,
+        screen=Some(best=lambda i: (i, 0), alike=lambda a, b: 0.87),
+        found=Some(single=single, joint={}, best=chosen),
+        measured=Some(channels=change.pop("channels", [channel])),
+        evidence=Some(left={LAG: 0.1, DELAY: 0.4}),
     )
+    story = Story(inquiry, chosen, seen)
     lag = {"tau_s": {"value": 0.0612, "sd": 0.0017, "unit": "s"}}
     first = ids[0] if ids else verdict
     order = sorted([LAG, DELAY, "tip_payload", *LAST], key=lambda i: i != first)

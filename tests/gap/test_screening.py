@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from ljjax.gap.candidates import pilots, sizes
 from ljjax.gap.screening import waves
 
 
-def residuals(true: float, noise: float = 0.002) -> SimpleNamespace:
+def residuals(true: float, noise: float = 0.002) -> Any:
     """Of two runs over bends of ±1.5 rad, a wave of `true` 1/rad in them that the vacuum makes smaller."""
     rng = np.random.default_rng(5)
     t = np.linspace(0.0, 10.0, 800)
