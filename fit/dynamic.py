@@ -390,6 +390,9 @@ class Search:
             if over.any():
                 worst = int(np.argmax(np.where(over, np.abs(step) / most, 0.0)))
                 step[worst], free[worst] = np.sign(step[worst]) * most[worst], False
+                for slope, low, high in limits:  # its own bound may be nearer
+                    if slope[worst] and np.count_nonzero(slope) == 1:
+                        step[worst] = np.clip(slope[worst] * step[worst], low, high) / slope[worst]
             elif beyond and len(held) < int(free.sum()):
                 held[beyond[0][0]] = beyond[0][1]
             else:

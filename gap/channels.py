@@ -80,7 +80,8 @@ class Channel:
         kind, about = type(fitted.effect), fitted.effect.fields()
         x0 = np.array([float(getattr(fitted.effect, n)) for n in about])
         first = float(np.sqrt(np.mean(self.error(kind, x0[None])[0, self.inside] ** 2)))
-        if self.leaves(first) < AGREES:
+        could = self.left.get(kind.id, 1.0) < AGREES
+        if self.leaves(first) < AGREES or not could and first <= CONTRADICTS * max(self.rms, self.noise):
             return first
         slack = np.array([3 * fitted.sd.get(n, 0.0) + 0.05 * x["scale"] * (n in fitted.sd) for n, x in about.items()])
         low, high = (np.array([x[side] for x in about.values()]) for side in ("low", "high"))

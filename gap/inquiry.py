@@ -13,6 +13,7 @@ from ljjax.fit.windows import Motion
 from ljjax.gap import channels, judge, screening
 from ljjax.gap.candidates import Trial
 from ljjax.gap.channels import Measured
+from ljjax.gap.screening import Screen
 from ljjax.gap.search import Refit, Study
 from ljjax.logs import Run
 from ljjax.modelfile import ModelFile
@@ -104,8 +105,7 @@ class Inquiry:
         """The candidates that promise most, refitted alone."""
         screen, study = self.screen, self.setting.study
         keys = sorted(screen.gains, key=lambda k: -screen.gains[k])
-        first = [screen.best(i) for i in screen.ids]
-        first = sorted(first, key=lambda k: -screen.gains[k])[: LEADERS if self._promising() else FEW]
+        first = self._ahead(screen, LEADERS if self._promising() else FEW)
         first += [screen.best(i) for i in self.measured.speaks if i in screen.ids and screen.best(i) not in first]
         more = [k for k in keys if k not in first and k[0] in {f[0] for f in first[:4]}][:4]
         trials, steps = [], {}
@@ -115,6 +115,13 @@ class Inquiry:
             steps[trial] = step
         trials += self._heard()
         return study.refit(self.base.model, trials, screen, steps, finish=4, sure=3)
+
+    @staticmethod
+    def _ahead(screen: Screen, count: int) -> list[tuple[str, int]]:
+        """Of each effect its best form: those that promise most, and those that promise most firmly, in turns."""
+        best = [screen.best(i) for i in screen.ids]
+        most, firm = (sorted(best, key=lambda k: -by[k]) for by in (screen.gains, screen.firm))
+        return list(dict.fromkeys(k for pair in zip(most, firm, strict=True) for k in pair))[:count]
 
     def _heard(self, onto: Refit | None = None) -> list[Trial]:
         """Effects that measured inputs show, begun as they show there."""
@@ -147,7 +154,7 @@ class Inquiry:
             if share < max(FURTHER, 15 * unit):
                 break
             on_top = study.screen(found.best)
-            keys = sorted((on_top.best(i) for i in on_top.ids), key=lambda k: -on_top.gains[k])[:SECOND]
+            keys = self._ahead(on_top, SECOND)
             trials, steps = [], {}
             for key in keys:
                 trial, step = study.trial(on_top, key, found.best)

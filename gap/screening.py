@@ -47,7 +47,8 @@ class Screen:
     Attributes:
         columns: (m) what each column is; `forms` values of the forms by (effect, form).
         gram: (m, m) and `score` (m,): JᵀJ and Jᵀr of the projected columns, residuals in units of their own RMS.
-        gains: by (effect, form), the drop of χ² to first order.
+        gains: by (effect, form), the drop of χ² to first order; `firm` the same in each run by the others' parameters,
+            which traces that only fit what cannot be foretold do not have.
         steps: by (effect, form), parameter → value at that gain.
         base_step: by (effect, form), (k,) how far the base's coordinates move along.
         base_jacobian: (N, c, k + 1) derivatives of the predictions by the base's coordinates and the starting angles.
@@ -59,6 +60,7 @@ class Screen:
     score: np.ndarray
     sigma: np.ndarray
     gains: Mapping[tuple[str, int], float]
+    firm: Mapping[tuple[str, int], float]
     steps: Mapping[tuple[str, int], Mapping[str, float]]
     base_step: Mapping[tuple[str, int], np.ndarray]
     base_jacobian: np.ndarray
@@ -226,27 +228,38 @@ def gather(
     along = q.T @ flat
     flat = flat - q @ along
     flat_r = flat_r - q @ (q.T @ flat_r)
-    gram, score = flat.T @ flat, flat.T @ flat_r
+    run = np.repeat(first.windows.sample_run, c)
+    parts = [(flat[run == k], flat_r[run == k]) for k in np.unique(run)]
+    grams, scores = np.stack([j.T @ j for j, _ in parts]), np.stack([j.T @ e for j, e in parts])
+    gram, score = grams.sum(axis=0), scores.sum(axis=0)
     inverse = np.linalg.pinv(triangle)
-    gains, steps, base_steps = {}, {}, {}
-    keys = list(dict.fromkeys((x.id, x.form) for x in columns))
-    for key in keys:
+    gains, firm, steps, base_steps = {}, {}, {}, {}
+    for key in dict.fromkeys((x.id, x.form) for x in columns):
         i = [j for j, x in enumerate(columns) if (x.id, x.form) == key]
-        low, high = (np.array([getattr(columns[j], side) for j in i]) for side in ("low", "high"))
-        size = np.array([columns[j].scale for j in i])
-        g = gram[np.ix_(i, i)] * np.outer(size, size)
-        x = np.zeros(len(i))
-        if np.trace(g) > 1e-9:
-            root = np.linalg.cholesky(g + (1e-9 * np.trace(g) + 1 / USUAL**2) * np.eye(len(i))).T
-            target = np.linalg.solve(root.T, score[i] * size)
-            bounds = (np.minimum(low / size, -1e-12), np.maximum(high / size, 1e-12))
-            x = lsq_linear(root, target, bounds=bounds).x * size
-        gains[key] = float(2 * score[i] @ x - x @ gram[np.ix_(i, i)] @ x)
-        steps[key] = {columns[j].name: float(v) for j, v in zip(i, x, strict=True)}
+        mine, own = [columns[j] for j in i], np.ix_(i, i)
+        x = _least(gram[own], score[i], mine)
+        gains[key] = float(2 * score[i] @ x - x @ gram[own] @ x)
+        firm[key] = 0.0
+        for g, s in zip(grams, scores, strict=True):
+            other = _least((gram - g)[own], (score - s)[i], mine)
+            firm[key] += float(2 * s[i] @ other - other @ g[own] @ other)
+        steps[key] = {c.name: float(v) for c, v in zip(mine, x, strict=True)}
         base_steps[key] = inverse @ (q.T @ r.reshape(-1) - along[:, i] @ x)
     assert first.point is not None
     whole = first.point.answer.jacobian
-    return Screen(columns, forms, gram, score, sigma, gains, steps, base_steps, whole)
+    return Screen(columns, forms, gram, score, sigma, gains, firm, steps, base_steps, whole)
+
+
+def _least(gram: np.ndarray, score: np.ndarray, columns: Sequence[Column]) -> np.ndarray:
+    """The parameters (m,) within their bounds that gain most."""
+    size, low, high = (np.array([getattr(c, name) for c in columns]) for name in ("scale", "low", "high"))
+    g = gram * np.outer(size, size)
+    if np.trace(g) <= 1e-9:
+        return np.zeros(len(columns))
+    root = np.linalg.cholesky(g + (1e-9 * np.trace(g) + 1 / USUAL**2) * np.eye(len(columns))).T
+    target = np.linalg.solve(root.T, score * size)
+    bounds = (np.minimum(low / size, -1e-12), np.maximum(high / size, 1e-12))
+    return lsq_linear(root, target, bounds=bounds).x * size
 
 
 def _projected(search: Search, scaled_by: Search | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -182,6 +182,8 @@ def _without(c: Cells, dropped: tuple[str, ...], laws: Laws) -> Cells:
 
 def _extended(laws, data, x, active, effect, f, j) -> list[Cells]:
     sizes, forms = laws.of(effect, "size"), laws.of(effect, "form")
+    if any(laws.about[n]["of"] == "waves" for n in forms):
+        return []  # a few points over the bend show none
     at = np.array([x])
     if forms:
         grids = np.meshgrid(*(grid(laws.about[n], data.extent) for n in forms), indexing="ij")

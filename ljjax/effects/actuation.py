@@ -53,17 +53,20 @@ class ActuatorSaturation(Effect):
 
 
 class ActuatorLag(Effect):
-    """The current or tension loop is of first order: τ Ṫ = T_cmd − T. Exact for commands that hold over a step."""
+    """The current or tension loop lags: τ Ṫ = T_cmd − T, and after it a second lag of τ₂ (filter, tendon). Exact for
+    commands that hold over a step."""
 
     id, block, axes = "actuator_lag", "actuation", ("rate", "load", "time")
     tau_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.05)
+    second_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.03)
 
     def start(self, now):
-        return now.u
+        return *now.u, *now.u
 
     def actuate(self, memory, u, now):
-        pairs = [lagged(x, held, self.tau_s, now.h) for x, held in zip(u, memory, strict=True)]
-        return tuple(mean for mean, _ in pairs), tuple(end for _, end in pairs)
+        once = [lagged(x, held, self.tau_s, now.h) for x, held in zip(u, memory[:2], strict=True)]
+        twice = [lagged(x, held, self.second_s, now.h) for (x, _), held in zip(once, memory[2:], strict=True)]
+        return tuple(mean for mean, _ in twice), tuple(end for _, end in (*once, *twice))
 
 
 class ActuatorRipple(Effect):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from ljjax.effect import Effect, Now, Vector, parameter, shape
 from ljjax.effects.shapes import along, lagged, positive
@@ -30,24 +31,36 @@ class ViscoelasticCreep(Effect):
         return tuple(lagged(q, x, self.tau_s, now.h)[1] for q, x in zip(middles, memory, strict=True))
 
 
+RATE_RAD_S, BEND_RAD = 0.3, 0.1
+"""Rate and angle of a joint at which powers of them are 1; below a thousandth of these they are smooth."""
+
+
+def _power(x: Array, one: float, power: Array) -> Array:
+    """(|x|/one)^power, smooth at 0."""
+    return jnp.exp(0.5 * power * jnp.log((x / one) ** 2 + 1e-6))
+
+
 class ViscousDamping(Effect):
-    """Damping independent of the vacuum: D q̇."""
+    """Damping independent of the vacuum: D q̇ (|q̇|/v₀)^(a − 1), v₀ = 0.3 rad/s; a = 1 is linear."""
 
     id, block, axes = "viscous_damping", "structure", ("rate", "direction")
     damping: jax.Array = parameter("N·m·s/rad", 0.0, 0.0, 20.0, 0.05)
+    power: jax.Array = shape("1", 1.0, 0.2, 3.0, (0.6, 1.0, 1.8))
 
     def torque(self, memory, i, q, v, stage):
-        return self.damping * v
+        return self.damping * v * _power(v, RATE_RAD_S, self.power - 1)
 
 
 class StiffnessHardening(Effect):
-    """Elasticity nonlinear in the angle: k₃ q³."""
+    """Elasticity nonlinear in the angle: k₃ q³ (|q|/q₁)^(a − 3), q₁ = 0.1 rad; a = 3 is the cubic spring."""
 
     id, block, axes = "stiffness_hardening", "structure", ("angle",)
     cubic: jax.Array = parameter("N·m/rad³", 0.0, -500.0, 5000.0, 5.0)
+    power: jax.Array = shape("1", 3.0, 1.3, 9.0, (2.0, 3.0, 5.0))
 
     def load(self, memory, load, now):
-        return tuple(t - self.cubic * q * q * q for t, q in zip(load, now.middle, strict=True))
+        more = [self.cubic * q * q * q * _power(q, BEND_RAD, self.power - 3) for q in now.middle]
+        return tuple(t - x for t, x in zip(load, more, strict=True))
 
 
 class RestCurvature(Effect):

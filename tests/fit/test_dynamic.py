@@ -7,6 +7,8 @@ import dataclasses
 import hashlib
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -228,6 +230,15 @@ def test_priors_and_bounds_of_the_file_hold():
 
 
 # --- the pieces, without a fit
+
+
+@pytest.mark.parametrize("bound, reached", [(-0.1, -0.1), (-2.0, -0.25), (0.0, 0.0)])
+def test_a_step_goes_no_further_than_its_bound_or_its_reach(bound, reached):
+    stands: Any = SimpleNamespace(problem=SimpleNamespace(coordinates=SimpleNamespace(spread=np.ones(2))))
+    a, g = np.array([[1.1, 0.1], [0.1, 1.1]]), np.array([0.05, -5.0])
+    step = Search._step(stands, a, g, 0.0, [(np.array([0.0, 1.0]), bound, np.inf)])
+    assert step[1] == pytest.approx(reached)
+    assert step[0] == pytest.approx((g[0] - a[0, 1] * reached) / a[0, 0])  # the other makes the best of it
 
 
 def test_coordinates_are_admissible_everywhere_and_start_at_the_model():
