@@ -188,7 +188,9 @@ def check(model: Model, pressures_kpa: Iterable[float] = (0.0,), where: str = "m
     """
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(model)):
         return
-    value = {path: float(get(model, path)) for path in units(model)}
+    value = {path: float(leaf(model, path)) for path in UNITS}
+    for effect in model.effects:
+        value |= {f"effects.{effect.id}.{name}": float(getattr(effect, name)) for name in effect.fields()}
 
     def refuse(path: str, reason: str) -> None:
         raise InputError(f"{where}: {path} = {value[path]:g}: {reason}")

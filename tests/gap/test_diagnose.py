@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -140,7 +141,8 @@ def weak(folder: Path, bend: float, tension: float, *missing: str) -> list[str]:
         still = replace(experiment, tendons=tendons, pressure_kpa=np.full(len(wave), 10.0 * k))
         with Writer(folder / f"run_{k:02d}.mcap", logs.metadata(robot, k, experiment.name)) as log:
             q = np.repeat(bend * wave[:, None], 6, axis=1)
-            logs._moving(Without(log, *missing), robot, k, still, q, np.random.default_rng(k))
+            some: Any = Without(log, *missing)
+            logs._moving(some, robot, k, still, q, np.random.default_rng(k))
     (folder / "nominal.toml").write_text(modelfile.dumps(ModelFile(model_of(robot.start), frozen=robot.known)))
     return [str(folder), "--model", str(folder / "nominal.toml"), "--out", str(folder / "out")]
 
