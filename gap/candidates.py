@@ -55,7 +55,8 @@ def pilots(kind: type[Effect], span: Mapping[str, float], waves: Sequence[float]
 
     values = {n: [min(max(x, about["low"]), about["high"]) for x in of(about)] for n, about in forms.items()}
     middle = {n: v[len(v) // 2] for n, v in values.items()}
-    return [{**middle, n: x} for n, v in values.items() for x in v]
+    out = [{**middle, n: x} for n, v in values.items() for x in v]
+    return [form for i, form in enumerate(out) if form not in out[:i]]
 
 
 def path(kind: type[Effect], name: str) -> str:

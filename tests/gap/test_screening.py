@@ -31,8 +31,12 @@ def test_a_ripple_is_found_among_waves_of_any_length(true):
     assert min(abs(w - true) for w in found) < 1.0
     assert found == sorted(found) and len(found) <= 4
     kind = REGISTRY["actuator_ripple"]
-    assert [p["waves"] for p in pilots(kind, {"": 1.0}, found)] == found
-    assert len(pilots(kind, {"": 1.0})) == len(kind.fields()["waves"]["pilots"])
+    forms = pilots(kind, {"": 1.0}, found)
+    assert sorted({form["waves"] for form in forms}) == found
+    stretches = kind.fields()["stretch"]["pilots"]
+    assert len(forms) == len(found) + len(stretches) - 1  # one at a time, the middle of both once
+    guessed = pilots(kind, {"": 1.0})
+    assert {form["waves"] for form in guessed} == set(kind.fields()["waves"]["pilots"])
 
 
 def test_only_modes_that_the_log_can_show_are_on_trial():
