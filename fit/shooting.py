@@ -121,7 +121,8 @@ def together(asking: Sequence[Asking[T]], progress: Callable[[int, int], None] |
 def answer_all(requests: Sequence[Request]) -> list[Answer]:
     """Simulate the windows of all requests, those of one form in shared tiles."""
     groups: dict[Any, list[int]] = {}
-    parts = [part for r in requests for part in _parts(r)]
+    split = [_parts(r) for r in requests]
+    parts = [part for own in split for part in own]
     for i, r in enumerate(parts):
         form = jax.tree.structure(r.model), _padded(r), r.windows.y.shape[1] > 1, r.onward, r.windows.h
         groups.setdefault(form, []).append(i)
@@ -132,7 +133,7 @@ def answer_all(requests: Sequence[Request]) -> list[Answer]:
         for i, answer in zip(members, found, strict=True):
             answers[i] = answer
     rest = iter(answers)
-    return [_whole([next(rest) for _ in _parts(r)]) for r in requests]
+    return [_whole([next(rest) for _ in own]) for own in split]
 
 
 LEAST, WIDER, ACROSS = 20, 8, 8

@@ -92,6 +92,8 @@ class Channel:
     ) -> tuple[float, np.ndarray]:
         """The least RMS of an effect of parameters between bounds (p,), from x0, and those parameters."""
         free = np.flatnonzero(upper > lower)
+        if not len(free):
+            return np.inf, x0
 
         def residuals(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             x = x0.copy()

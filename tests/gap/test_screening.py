@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 
 from ljjax.effects import REGISTRY
 from ljjax.gap.candidates import pilots, sizes
+from ljjax.gap.channels import Channel, Fitted
 from ljjax.gap.screening import waves
 
 
@@ -46,3 +48,22 @@ def test_only_modes_that_the_log_can_show_are_on_trial():
     # joints of unequal stiffness bend unequally under gravity, and the mean angle shows some of it
     assert sizes(REGISTRY["nonuniform_stiffness"], 6, 1) == ["mode1", "mode2"]
     assert sizes(REGISTRY["nonuniform_stiffness"], 2, 1) == ["mode1"]
+
+
+def test_a_measured_tension_takes_an_effect_within_the_shapes_doubt():
+    """The motors pull a tenth less than the shape's fit says, which leaves it open or does not."""
+    kind: Any = REGISTRY["actuator_gain"]
+    truth = 0.1
+
+    def error(_, x: np.ndarray) -> np.ndarray:
+        return (x[:, :1] - truth) * np.linspace(1.0, 5.0, 50)
+
+    channel = Channel("tension", 1.0, 0.01, {"actuator_gain": 0.0}, {}, error, np.ones(50, bool))
+    fitted = kind(error=0.2, difference=0.0)
+    apart = float(np.sqrt(np.mean(error(kind, np.array([[0.2]])) ** 2)))
+    open_, sure, unknown = (Fitted(fitted, {"error": sd}) for sd in (0.05, 1e-4, np.nan))
+    channel = dataclasses.replace(channel, rms=0.2 * apart)  # so that 0.2 contradicts
+    assert channel.rms_with([open_]) == pytest.approx(0.0, abs=1e-3)
+    assert 0.9 * apart < (channel.rms_with([sure]) or 0.0) < apart  # no further than a twentieth of its typical size
+    assert channel.rms_with([unknown]) == pytest.approx(apart)
+    assert channel.rms_with([]) is None
