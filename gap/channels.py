@@ -23,7 +23,7 @@ from ljjax.fit.windows import Motion, white_noise
 from ljjax.gap.candidates import pilots
 from ljjax.gap.screening import waves_in
 
-STEP_S, ITERATIONS = 0.005, 20
+STEP_S, ITERATIONS, STEP = 0.005, 20, 1e-4
 SPEAKS = 1.3
 """A channel speaks if its RMS distance from the command is so many times its noise, and an effect explains some."""
 EXPLAINS = 0.3
@@ -35,10 +35,11 @@ that puts it further off by this factor; that counts as so much of the gap left.
 
 
 class Fitted(NamedTuple):
-    """An effect as fitted to the shape, and the standard deviations of its free parameters by name."""
+    """An effect as fitted to the shape, its free parameters (p names) and their covariance (p, p)."""
 
     effect: Effect
-    sd: Mapping[str, float]
+    free: Sequence[str]
+    covariance: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,32 +84,37 @@ class Channel:
         could = self.left.get(kind.id, 1.0) < AGREES
         if self.leaves(first) < AGREES or not could and first <= CONTRADICTS * max(self.rms, self.noise):
             return first
-        slack = np.array([3 * fitted.sd.get(n, 0.0) + 0.05 * x["scale"] * (n in fitted.sd) for n, x in about.items()])
-        low, high = (np.array([x[side] for x in about.values()]) for side in ("low", "high"))
-        return min(first, self.fit(kind, x0, np.maximum(x0 - slack, low), np.minimum(x0 + slack, high), slack)[0])
+        known = np.diag([(0.02 * about[n]["scale"]) ** 2 for n in fitted.free])
+        finite = np.all(np.isfinite(fitted.covariance))
+        values, vectors = np.linalg.eigh(known + (fitted.covariance if finite else 0.0))
+        ways = np.zeros((len(about), len(values)))
+        ways[[list(about).index(n) for n in fitted.free]] = 3 * vectors * np.sqrt(np.maximum(values, 0.0))
+        return min(first, self.fit(kind, x0, ways, -1.0, 1.0)[0])
 
     def fit(
-        self, kind: type[Effect], x0: np.ndarray, lower: np.ndarray, upper: np.ndarray, scales: np.ndarray
+        self, kind: type[Effect], x0: np.ndarray, ways: np.ndarray, low: float | np.ndarray, high: float | np.ndarray
     ) -> tuple[float, np.ndarray]:
-        """The least RMS of an effect of parameters between bounds (p,), from x0, and those parameters."""
-        free = np.flatnonzero(upper > lower)
-        if not len(free):
-            return np.inf, x0
+        """The least RMS of an effect whose parameters are x0 (p,) and some of each of the ways (p, m) from there, so
+        much of each as `low` and `high` (m,) allow, and those parameters."""
+        least, most = (np.array([x[side] for x in kind.fields().values()]) for side in ("low", "high"))
+        count = ways.shape[1]
+        low, high = (np.broadcast_to(np.asarray(x, float), (count,)) for x in (low, high))
 
-        def residuals(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            x = x0.copy()
-            x[free] = part
-            steps = 1e-4 * np.maximum(np.abs(x), scales)
-            r, *moved = self.error(kind, x + np.vstack([np.zeros_like(x), np.diag(steps)]))[:, self.inside] / self.noise
-            return r, np.stack([(moved[i] - r) / steps[i] for i in free], axis=1)
+        def at(z: np.ndarray) -> np.ndarray:
+            return np.clip(x0 + z @ ways.T, least, most)
+
+        def residuals(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            steps = np.where(z < high - STEP, STEP, -STEP)
+            r, *moved = self.error(kind, at(z + np.vstack([np.zeros(count), np.diag(steps)])))[:, self.inside]
+            return r / self.noise, np.stack(
+                [(m - r) / (s * self.noise) for m, s in zip(moved, steps, strict=True)], axis=1
+            )
 
         try:
-            found = solve(residuals, x0[free], lower[free], upper[free], ITERATIONS)
+            found = solve(residuals, np.zeros(count), low, high, ITERATIONS)
         except (np.linalg.LinAlgError, FloatingPointError):
             return np.inf, x0
-        x = x0.copy()
-        x[free] = found.x
-        return float(np.sqrt(np.mean(found.residual**2))) * self.noise, x
+        return float(np.sqrt(np.mean(found.residual**2))) * self.noise, at(found.x)
 
     def leaves(self, rms: float) -> float:
         """The share of its mean square beyond noise that an RMS stands for."""
@@ -201,10 +207,11 @@ def _explained(
 ) -> tuple[float, dict[str, float]]:
     """RMS that an effect leaves at best, begun from some forms, and its parameters then."""
     about = kind.fields()
-    lower, upper = (np.array([x[side] for x in about.values()]) for side in ("low", "high"))
-    scales = np.array([x["scale"] for x in about.values()])
-    starts = [[f.get(n, x["null"] + 0.5 * x["scale"]) for n, x in about.items()] for f in forms]
-    found = [channel.fit(kind, np.clip(x, lower, upper), lower, upper, scales) for x in starts]
+    lower, upper, scales = (np.array([x[what] for x in about.values()]) for what in ("low", "high", "scale"))
+    found = []
+    for f in forms:
+        x = np.clip([f.get(n, y["null"] + 0.5 * y["scale"]) for n, y in about.items()], lower, upper)
+        found.append(channel.fit(kind, x, np.diag(scales), (lower - x) / scales, (upper - x) / scales))
     rms, x = min(found, key=lambda f: f[0])
     return min(rms, channel.rms), dict(zip(about, map(float, x), strict=True))
 

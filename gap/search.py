@@ -62,8 +62,8 @@ class Refit:
 
     @cached_property
     def fitted(self) -> list[Fitted]:
-        """The effects set free, as fitted, with the standard deviations of their parameters."""
-        return [Fitted(e, {n: sd for n, (_, sd) in self.values(e.id).items()}) for e in self.effects]
+        """The effects set free, as fitted, with the covariance of their parameters."""
+        return [Fitted(e, *self._spread(e.id)) for e in self.effects]
 
     @property
     def free_effects(self) -> dict[str, float]:
@@ -72,18 +72,20 @@ class Refit:
         values = zip(c.names, c.physical(self.estimate.x), strict=True)
         return {p: float(x) for p, x in values if p.startswith("effects.")}
 
-    def values(self, effect: str) -> dict[str, tuple[float, float]]:
-        """Value and standard deviation of an effect's free parameters, by name."""
+    def _spread(self, effect: str) -> tuple[list[str], np.ndarray]:
+        """An effect's free parameters (p names) and their covariance (p, p)."""
         c = self.estimate.problem.coordinates
         slope = c.jacobian(self.estimate.x)
-        covariance = slope @ self.estimate.covariance @ slope.T
-        physical = c.physical(self.estimate.x)
         start = f"effects.{effect}."
-        return {
-            n.removeprefix(start): (float(physical[i]), float(np.sqrt(max(covariance[i, i], 0.0))))
-            for i, n in enumerate(c.names)
-            if n.startswith(start)
-        }
+        mine = [i for i, n in enumerate(c.names) if n.startswith(start)]
+        return [c.names[i].removeprefix(start) for i in mine], slope[mine] @ self.estimate.covariance @ slope[mine].T
+
+    def values(self, effect: str) -> dict[str, tuple[float, float]]:
+        """Value and standard deviation of an effect's free parameters, by name."""
+        free, covariance = self._spread(effect)
+        sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        (found,) = (e for e in self.effects if e.id == effect)
+        return {n: (float(getattr(found, n)), float(s)) for n, s in zip(free, sd, strict=True)}
 
 
 @dataclass(eq=False)

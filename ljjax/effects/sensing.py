@@ -45,21 +45,25 @@ class SensorBias(Effect):
 
 
 class SensorFilter(Effect):
-    """Detections are averaged: τẏ = x − y, exact for angles that move steadily over a step."""
+    """Detections are averaged: τẏ = x − y and after it two lags of τ₂, exact for angles that move steadily over a step.
+    τ₂ = 0 is a first-order filter; τ₂ = τ is a moving average over 6τ, but for terms of third order."""
 
     id, block, axes = "sensor_filter", "sensing", ("rate", "time")
     tau_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.03)
+    second_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.01)
 
     def start(self, now):
-        return tuple(now.q), tuple(now.q)
+        return (tuple(now.q),) * 4
 
     def sense(self, memory, y, now):
-        out = []
-        for x, before, held in zip(y, *memory, strict=True):
-            late = self.tau_s * (x - before) / now.h
-            _, end = lagged(x - late, held + (x - before), self.tau_s, now.h)
-            out.append(end)
-        return tuple(out), (tuple(y), tuple(out))
+        kept = [tuple(y)]
+        for tau, given, held in zip((self.tau_s, self.second_s, self.second_s), memory[:-1], memory[1:], strict=True):
+            new = []
+            for x, before, y0 in zip(kept[-1], given, held, strict=True):
+                late = tau * (x - before) / now.h
+                new.append(lagged(x - late, y0 + (x - before), tau, now.h)[1])
+            kept.append(tuple(new))
+        return kept[-1], tuple(kept)
 
 
 class SensorDelay(Effect):

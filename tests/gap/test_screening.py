@@ -61,9 +61,27 @@ def test_a_measured_tension_takes_an_effect_within_the_shapes_doubt():
     channel = Channel("tension", 1.0, 0.01, {"actuator_gain": 0.0}, {}, error, np.ones(50, bool))
     fitted = kind(error=0.2, difference=0.0)
     apart = float(np.sqrt(np.mean(error(kind, np.array([[0.2]])) ** 2)))
-    open_, sure, unknown = (Fitted(fitted, {"error": sd}) for sd in (0.05, 1e-4, np.nan))
     channel = dataclasses.replace(channel, rms=0.2 * apart)  # so that 0.2 contradicts
-    assert channel.rms_with([open_]) == pytest.approx(0.0, abs=1e-3)
-    assert 0.9 * apart < (channel.rms_with([sure]) or 0.0) < apart  # no further than a twentieth of its typical size
-    assert channel.rms_with([unknown]) == pytest.approx(apart)
+
+    def off(sd: float) -> float:
+        return channel.rms_with([Fitted(fitted, ["error"], np.array([[sd**2]]))]) or 0.0
+
+    assert off(0.05) == pytest.approx(0.0, abs=1e-3)
+    assert 0.9 * apart < off(1e-4) < apart  # no further than a part of its typical size
+    assert off(np.nan) == off(0.0)
     assert channel.rms_with([]) is None
+
+
+def test_what_the_shape_knows_of_two_parameters_together_holds():
+    """Two lags of which the shape knows the sum only, and the measured tension asks for a smaller one."""
+    kind: Any = REGISTRY["actuator_lag"]
+
+    def error(_, x: np.ndarray) -> np.ndarray:
+        return (x.sum(axis=1, keepdims=True) - 0.005) * np.linspace(1.0, 5.0, 50) / 0.03
+
+    channel = Channel("tension", 0.2, 0.01, {"actuator_lag": 0.0}, {}, error, np.ones(50, bool))
+    fitted, free = kind(tau_s=0.015, second_s=0.015), ["tau_s", "second_s"]
+    apart = float(np.sqrt(np.mean(error(kind, np.array([[0.015, 0.015]])) ** 2)))
+    sum_known = 0.05**2 * np.array([[1.0, -1.0], [-1.0, 1.0]]) + 1e-8 * np.eye(2)
+    assert (channel.rms_with([Fitted(fitted, free, sum_known)]) or 0.0) > 0.7 * apart
+    assert (channel.rms_with([Fitted(fitted, free, 0.05**2 * np.eye(2))]) or 0.0) < 0.05 * apart

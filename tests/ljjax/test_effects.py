@@ -120,6 +120,22 @@ def test_a_run_starts_where_its_log_does_whatever_the_sensor_adds(robot):
     np.testing.assert_allclose(simulate(model, drive(), initial=start).seen[0], logged, atol=1e-12)
 
 
+def test_a_filter_averages(robot):
+    """τ₂ = 0 is a first-order filter; τ₂ = τ a moving average over 6τ, which a first-order one is not."""
+    t, window = np.linspace(0.0, 1.2, 2401), 0.12
+    plain = np.interp(t, AT, np.asarray(seen(robot(3), drive())[:, 0]))
+    grown = np.concatenate([np.full(400, plain[0]), plain])
+    mean = np.convolve(grown, np.ones(round(window / 5e-4)) / round(window / 5e-4), mode="full")[400 : 400 + len(t)]
+
+    def off(tau: float, second: float) -> float:
+        kind = REGISTRY["sensor_filter"](**{"tau_s": tau, "second_s": second})
+        filtered = seen(dataclasses.replace(robot(3), effects=(kind,)), drive())[:, 0]
+        return float(np.sqrt(np.mean((filtered - np.interp(AT, t, mean)) ** 2)))
+
+    average, first, none = off(window / 6, window / 6), off(window / 2, 0.0), off(0.0, 0.0)
+    assert average < 0.2 * first < 0.1 * none, (average, first, none)
+
+
 def test_a_model_file_holds_effects(tmp_path, robot):
     lag, bias = REGISTRY["actuator_lag"](**{"tau_s": 0.07}), REGISTRY["sensor_bias"](**{"offset_rad": 0.02})
     model = dataclasses.replace(robot(3), effects=(lag, bias))
