@@ -47,6 +47,8 @@ FAR = 0.25
 """A step goes no further than this share of a coordinate's spread: parameters change by a factor of 2 at most."""
 HUBER = 4.0
 """Residuals beyond this many standard deviations count linearly."""
+LAGS = 30
+"""Lags that are summed one by one; where residuals hang together over many more, samples are added up first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -460,8 +462,11 @@ class Search:
         for run in np.unique(self.windows.sample_run):
             mine = self.windows.sample_run == run
             s, e = score[mine], error[mine].mean(axis=1)
-            own = s.T @ s
             lags = bandwidth(e)
+            block = max(1, lags // LAGS)  # sums of so many samples hang together over so many fewer lags
+            s = np.add.reduceat(s, np.arange(0, len(s), block), axis=0)
+            lags = -(-lags // block)
+            own = s.T @ s
             for lag in range(1, min(lags, len(s) - 1) + 1):
                 c = s[lag:].T @ s[:-lag]
                 own += (1 - lag / (lags + 1)) * (c + c.T)

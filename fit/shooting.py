@@ -364,6 +364,10 @@ def _shoot(joints: bool, onward: bool, model, slopes, state, slope, drive, h):
     return ends, end_slopes, path, path_slopes, passed
 
 
+ON_STEP = 1e-6
+"""The share of a step within which a sample lies on the step's start or end."""
+
+
 class _Samples:
     """Predictions (N, c) and derivatives (N, c, k + 1) at the samples of a request, read off window by window.
 
@@ -396,19 +400,18 @@ class _Samples:
         at = self.step[mine] * len(windows) + np.searchsorted(windows, self.window[mine])
         after = at + len(windows)
         cubic = (1 - w * w * (3 - 2 * w), w * w * (3 - 2 * w), h * w * (1 - w) ** 2, h * w * w * (w - 1))
+        on_steps = bool(np.all(np.minimum(w, 1 - w) < ON_STEP))
+        nearest = np.where(w > 0.5, after, at)
+
+        def pick(x: np.ndarray, index: np.ndarray) -> np.ndarray:
+            return np.take(x.reshape(*x.shape[:-2], -1), index, axis=-1)
 
         def taken(x: np.ndarray, rate: np.ndarray, more: np.ndarray | None) -> np.ndarray:
-            x, rate = x.reshape(*x.shape[:-2], -1), rate.reshape(*rate.shape[:-2], -1)
-            out = (
-                cubic[0] * x[..., at]
-                + cubic[1] * x[..., after]
-                + cubic[2] * rate[..., at]
-                + cubic[3] * rate[..., after]
-            )
-            if more is not None:
-                more = more.reshape(*more.shape[:-2], -1)
-                out = out + (1 - w) * more[..., at] + w * more[..., after]
-            return out
+            if on_steps:
+                return pick(x, nearest) if more is None else pick(x, nearest) + pick(more, nearest)
+            out = cubic[0] * pick(x, at) + cubic[1] * pick(x, after) + cubic[2] * pick(rate, at)
+            out = out + cubic[3] * pick(rate, after)
+            return out if more is None else out + (1 - w) * pick(more, at) + w * pick(more, after)
 
         none = [None] * len(q)
         width = self.k

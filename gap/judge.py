@@ -17,8 +17,9 @@ LEAVES = 0.25
 """The share of a gap that an effect outside the library is taken to leave by the best one inside it."""
 NONE = 8.0
 """Odds before looking that no effect is there: a gain that chance makes once in a hundred leaves them even."""
-MATTERS = 0.02
-"""A gap below this share of the noise's variance is none."""
+MATTERS, OPEN = 0.02, 0.21
+"""A gap below this share of the noise's variance is none; above the second one, a tenth in RMS, it is one that chance
+does not make, whether or not a candidate explains any of it."""
 ALIKE = 1.25
 """Candidates whose leftovers are within this factor cannot be told apart."""
 
@@ -52,13 +53,16 @@ def probabilities(e: Evidence) -> dict[str, float]:
     none = odds / (1 + odds) if e.chance < 1 / np.e else 0.95
     small = max(e.excess, 0.0) < MATTERS
     none = max(none, 0.97) if small else none
+    if e.excess > OPEN:
+        out["unlisted_effect"], none = none, 0.0
     out["no_gap" if e.as_given else "parameters_only"] = none
     blur = 0.004 + 8 * e.unit
     weight = {i: (max(left, 0.0) + blur + 2 * e.unit * e.parameters[i]) ** -SHARPNESS for i, left in e.left.items()}
     weight["unlisted_effect"] = 0.5 * (LEAVES + blur) ** -SHARPNESS
     total = sum(weight.values())
+    rest = 1 - sum(out.values())
     for i, w in weight.items():
-        out[i] += (1 - none) * w / total
+        out[i] += rest * w / total
     return out
 
 

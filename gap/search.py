@@ -26,6 +26,8 @@ QUICK = Round(0.01, True, np.inf, 1_000_000, 0.5, 2e-4, onward=True)
 """How candidates are compared: free runs one window after the other, at the longest step that is as good as noise."""
 FIRST, LAST, WHOLE = 4, 5, 8
 """Iterations for all candidates, by derivatives of the base that stay as they were; of the best; and for the answer."""
+AGAIN, FALLING = 3, 0.1
+"""How often the best are taken on, and the share of the loss by which they must still fall for another time."""
 Tell = Callable[[str, int, int], None]
 
 
@@ -143,10 +145,14 @@ class Study:
         first = self._refit(begun, trials, steps or {}, FIRST, stage, borrowed)
         best = sorted(first, key=lambda r: r.total)[:finish]
         best += [r for r in first if any(r.trial is t for t in trials[:sure]) and all(r is not b for b in best)]
-        if best:
+        for _ in range(AGAIN):
+            if not best:
+                break
             again = self._refit([r.model for r in best], [r.trial for r in best], {}, LAST, stage + ", the best")
+            before = {id(r.trial): r.total for r in best}
             better = {id(r.trial): r for r in again}
             first = [min((r, better.get(id(r.trial), r)), key=lambda x: x.total) for r in first]
+            best = [r for r in again if before[id(r.trial)] - r.total > FALLING * before[id(r.trial)]]
         return first
 
     def polished(self, refit: Refit) -> Refit:

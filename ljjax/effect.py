@@ -4,7 +4,7 @@ An effect is a subclass of `Effect`. Every hook below does nothing unless the su
 arithmetic on scalars, one a joint, as in `ljjax.step`, so that simulation, fit and diagnosis batch and differentiate
 through them alike. In the order of one step:
 
-    actuate → evacuate → alpha2, phi → inertia, load (once a step) → torque (inside each stage) → remember → sense
+    actuate → evacuate → alpha2, phi → slip, inertia, load (once a step) → torque (in each stage) → remember → sense
 
 An effect may keep a memory (a tuple of scalars, `()` by default): `start` makes it, `actuate`, `evacuate`, `remember`
 and `sense` hand back a new one.
@@ -126,6 +126,10 @@ class Effect(eqx.Module):
     def phi(self, memory: Memory, phi: Vector, now: Now) -> Vector:
         """Friction scales, one a joint [N·m]."""
         return phi
+
+    def slip(self, memory: Memory, slip: Vector, now: Now) -> Vector:
+        """Factors on the bristles' bend g(v) at which they slip, one a joint."""
+        return slip
 
     def inertia(self, m: tuple[Vector, ...], now: Now) -> tuple[Vector, ...]:
         """The lower rows of M [kg·m²], frozen over the step."""

@@ -187,6 +187,7 @@ class _Stage(NamedTuple):
     friction: Friction
     effects: tuple[Effect, ...]
     memory: tuple[Memory, ...]
+    slip: Vector | None
 
 
 def _joint(stage: _Stage, i: int, v: Array, side: Array) -> tuple[Array, Array]:
@@ -195,7 +196,8 @@ def _joint(stage: _Stage, i: int, v: Array, side: Array) -> tuple[Array, Array]:
     f = stage.friction
     start = stage.z[i]
     q = stage.q[i] + stage.s * v
-    z = (start + stage.s * v) / (1 + stage.s * f.sigma0 * (side * v) / stribeck(f, v))
+    bend = stribeck(f, v) if stage.slip is None else stage.slip[i] * stribeck(f, v)
+    z = (start + stage.s * v) / (1 + stage.s * f.sigma0 * (side * v) / bend)
     torque = stage.phi[i] * (f.sigma0 * z + f.sigma1 * (z - start) / stage.s + f.sigma2 * v) + stage.alpha2[i] * q
     for effect, memory in zip(stage.effects, stage.memory, strict=True):
         more = effect.torque(memory, i, q, v, stage)
@@ -381,6 +383,11 @@ def advance(model: Model, c: Constants, state: Unrolled, drive: Drive, h: Any, h
     m, coriolis = inertia_and_coriolis(c, *(still if model.constant_mass else (now.sin, now.cos)), state.v)
     for effect in model.effects:
         m = effect.inertia(m, now)
+    slip = None
+    if overrides(model.effects, "slip"):
+        slip = (jnp.ones_like(alpha2[0]),) * n
+        for effect, own in zip(model.effects, memory, strict=True):
+            slip = effect.slip(own, slip, now)
     load = _load(model, now, memory, drive)
     if not model.constant_mass:
         load = tuple(load[i] - coriolis[i] for i in range(n))
@@ -388,7 +395,7 @@ def advance(model: Model, c: Constants, state: Unrolled, drive: Drive, h: Any, h
     def solve(base: tuple[Vector, Vector, Vector], start: Vector, time: Array) -> tuple[Vector, Vector, Vector]:
         q, v, z = base
         stage = _Stage(
-            q, v, z, m, load, s, time, model.gravity.alpha1, alpha2, phi, model.friction, model.effects, memory
+            q, v, z, m, load, s, time, model.gravity.alpha1, alpha2, phi, model.friction, model.effects, memory, slip
         )
         new = _solve(how, start, stage)
         deflected = tuple(_joint(stage, i, new[i], jnp.sign(new[i]))[1] for i in range(n))

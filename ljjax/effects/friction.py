@@ -13,17 +13,25 @@ TURN_RAD, BENT_RAD = 0.004, 0.015
 
 
 class FrictionAsymmetry(Effect):
-    """Loading and unloading rub differently: φ (1 + a) where a joint bends further, φ (1 − a) where it straightens."""
+    """Loading and unloading rub differently. Where a joint bends further the bristles slip at 1 + a of their bend, and
+    their whole torque is 1 + b of what it would be; where it straightens, at 1 − a and 1 − b."""
 
     id, block, axes = "friction_asymmetry", "friction", ("direction", "angle")
     share: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.15)
+    whole: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.15)
 
     def start(self, now):
         return tuple(0.0 * q for q in now.q)
 
+    def _further(self, memory, now):
+        """From 1 where a joint bends further to −1 where it straightens."""
+        return [way * q / jnp.sqrt(q * q + BENT_RAD**2) for way, q in zip(memory, now.q, strict=True)]
+
+    def slip(self, memory, slip, now):
+        return tuple(x * (1 + self.share * w) for x, w in zip(slip, self._further(memory, now), strict=True))
+
     def phi(self, memory, phi, now):
-        bent = [q / jnp.sqrt(q * q + BENT_RAD**2) for q in now.q]
-        return tuple(p * (1 + self.share * way * b) for p, way, b in zip(phi, memory, bent, strict=True))
+        return tuple(p * (1 + self.whole * w) for p, w in zip(phi, self._further(memory, now), strict=True))
 
     def remember(self, memory, now, after):
         return tuple(turned(way, b - a, TURN_RAD) for way, a, b in zip(memory, now.q, after.q, strict=True))

@@ -30,21 +30,25 @@ VENT_S, VENTED_KPA = 0.3, 0.5
 
 class PressureLeak(Effect):
     """The sheath holds less vacuum than the gauge, the more the longer it is held: P = (1 − L f) P_line, f rising to 1
-    with the time constant τ while there is a vacuum, and back to 0 soon after it is vented."""
+    with the time constant τ while there is a vacuum, and back to 0 soon after it is vented; and a share h of what it
+    lacks follows the line's vacuum that late, P = (P_line − L D)₊ with τḊ = P_line − D."""
 
     id, block, axes = "pressure_leak", "jamming", ("pressure", "time")
     share: jax.Array = parameter("1", 0.0, 0.0, 0.95, 0.15)
     tau_s: jax.Array = shape("s", 5.0, 0.05, 200.0, (1.5, 5.0, 20.0))
+    held: jax.Array = shape("1", 0.5, 0.0, 1.0, (0.0, 1.0))
 
     def start(self, now):
-        return (0.0 * now.vacuum,)
+        return 0.0 * now.vacuum, 0.0 * now.vacuum
 
     def evacuate(self, memory, vacuum, now):
-        (leaked,) = memory
+        leaked, lacking = memory
         held = vacuum > VENTED_KPA
         goal = jnp.where(held, 1.0 + 0.0 * vacuum, 0.0 * vacuum)
-        mean, end = lagged(goal, leaked, jnp.where(held, self.tau_s, VENT_S + 0.0 * self.tau_s), now.h)
-        return vacuum * (1 - self.share * mean), (end,)
+        tau = jnp.where(held, self.tau_s, VENT_S + 0.0 * self.tau_s)
+        part, leaked = lagged(goal, leaked, tau, now.h)
+        late, lacking = lagged(vacuum, lacking, tau, now.h)
+        return positive(vacuum - self.share * ((1 - self.held) * vacuum * part + self.held * late)), (leaked, lacking)
 
 
 class PressureBias(Effect):
