@@ -28,6 +28,8 @@ GROUPS = (
 )
 LINEAR = ("gravity.alpha1", "elastic.c1", "elastic.c2", "jamming.c5")
 """Parameters of either sign: where they move on their own, they move as they are."""
+STEEPEST = 4.0
+"""The largest σ₃ to which a fit goes by itself: a steeper fall of the friction is a jump that no step resolves."""
 
 
 class Coordinates:
@@ -67,6 +69,8 @@ class Coordinates:
         linear |= {p: 10 * x["scale"] for p, x in about.items() if p not in forms} | dict.fromkeys(forms, 1.5)
         self.spread = np.array([linear.get(p, 3.0) if p in linear and p not in whole else 3.0 for p in names])
         self.bounds = {p: pair for p, pair in limits(like).items() if p in names}
+        if "friction.sigma3" in names:
+            self.bounds["friction.sigma3"] = 0.0, max(STEEPEST, float(like.friction.sigma3))
 
     def __len__(self) -> int:
         return len(self.names)

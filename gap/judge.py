@@ -15,6 +15,8 @@ import numpy as np
 SHARPNESS = 6.0
 LEAVES = 0.25
 """The share of a gap that an effect outside the library is taken to leave by the best one inside it."""
+SIMPLER = 1.2
+"""Odds for one parameter less, where two effects leave as much."""
 NONE = 8.0
 """Odds before looking that no effect is there: a gain that chance makes once in a hundred leaves them even."""
 MATTERS, OPEN = 0.02, 0.21
@@ -57,8 +59,11 @@ def probabilities(e: Evidence) -> dict[str, float]:
         out["unlisted_effect"], none = none, 0.0
     out["no_gap" if e.as_given else "parameters_only"] = none
     blur = 0.004 + 8 * e.unit
-    weight = {i: (max(left, 0.0) + blur + 2 * e.unit * e.parameters[i]) ** -SHARPNESS for i, left in e.left.items()}
-    weight["unlisted_effect"] = 0.5 * (LEAVES + blur) ** -SHARPNESS
+    weight = {
+        i: SIMPLER ** -e.parameters[i] * (max(left, 0.0) + blur + 2 * e.unit * e.parameters[i]) ** -SHARPNESS
+        for i, left in e.left.items()
+    }
+    weight["unlisted_effect"] = 0.5 / SIMPLER * (LEAVES + blur) ** -SHARPNESS
     total = sum(weight.values())
     rest = 1 - sum(out.values())
     for i, w in weight.items():

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import Vector, arm, lagged, positive, turned
+from ljjax.effects.shapes import arm, lagged, positive
 
 
 class ActuatorDelay(Effect):
@@ -120,12 +120,14 @@ TURN_RAD = 0.01
 
 class TendonFriction(Effect):
     """Friction along the routing: joint k feels T exp(∓(μ Σ_{j ≤ k}|q_j| + ν k)), less in the tendon pulled in, more in
-    the one paid out, from bends (capstan) and from the guides passed; and a drag that the load does not change."""
+    the one paid out, from bends (capstan) and from the guides passed; and a drag that the load does not change. At rest
+    it fades, in TURN_RAD over the rate that counts as rest."""
 
     id, block, axes = "tendon_friction", "actuation", ("direction", "angle", "load")
     mu: jax.Array = parameter("1/rad", 0.0, 0.0, 6.0, 0.2)
     guide: jax.Array = parameter("1", 0.0, 0.0, 0.5, 0.02)
     drag_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.3)
+    still_rad_s: jax.Array = shape("rad/s", 0.02, 1e-4, 10.0, (1e-3, 0.03, 0.3))
 
     def start(self, now):
         return (0.0 * now.q[0],)
@@ -141,5 +143,6 @@ class TendonFriction(Effect):
         return tuple(out)
 
     def remember(self, memory, now, after):
-        moved: Vector = tuple(b - a for a, b in zip(now.q, after.q, strict=True))
-        return (turned(memory[0], sum(moved), TURN_RAD),)
+        moved = sum(b - a for a, b in zip(now.q, after.q, strict=True))
+        whole = jnp.abs(moved) + self.still_rad_s * now.h
+        return (moved / whole + (memory[0] - moved / whole) * jnp.exp(-whole / TURN_RAD),)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax
 
-from ljjax.effect import Effect, parameter
+from ljjax.effect import Effect, parameter, shape
 from ljjax.effects.shapes import along, lagged
 
 
@@ -45,19 +45,19 @@ class SensorBias(Effect):
 
 
 class SensorFilter(Effect):
-    """Detections are averaged: τẏ = x − y and after it two lags of τ₂, exact for angles that move steadily over a step.
-    τ₂ = 0 is a first-order filter; τ₂ = τ is a moving average over 6τ, but for terms of third order."""
+    """Detections are averaged: τẏ = x − y and after it two lags of r τ, exact for angles that move steadily in a step.
+    r = 0 is a first-order filter; r = 1 is a moving average over 6τ, but for terms of third order."""
 
     id, block, axes = "sensor_filter", "sensing", ("rate", "time")
     tau_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.03)
-    second_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.01)
+    later: jax.Array = shape("1", 0.5, 0.0, 1.0, (0.0, 1.0))
 
     def start(self, now):
         return (tuple(now.q),) * 4
 
     def sense(self, memory, y, now):
-        kept = [tuple(y)]
-        for tau, given, held in zip((self.tau_s, self.second_s, self.second_s), memory[:-1], memory[1:], strict=True):
+        kept, more = [tuple(y)], self.later * self.tau_s
+        for tau, given, held in zip((self.tau_s, more, more), memory[:-1], memory[1:], strict=True):
             new = []
             for x, before, y0 in zip(kept[-1], given, held, strict=True):
                 late = tau * (x - before) / now.h

@@ -399,3 +399,11 @@ def test_the_command_fits_robots_in_folders_and_leaves_out_what_is_broken(found,
     assert not (out / "r3").exists()
     for name in ("model.toml", "report.html", "result.mcap"):
         assert (out / "r1" / name).stat().st_size > 0
+
+
+def test_the_stribeck_exponent_stays_where_steps_resolve_it():
+    """A steeper fall of the friction is a jump, whose solution a step may miss by degrees."""
+    assert Coordinates(robot(), MOVED, 40.0).bounds == {}
+    assert Coordinates(robot(), ("friction.sigma3",), 40.0).bounds == {"friction.sigma3": (0.0, 4.0)}
+    steep = replace(robot(), {"friction.sigma3": 6.0})
+    assert Coordinates(steep, ("friction.sigma3",), 40.0).bounds["friction.sigma3"][1] == 6.0

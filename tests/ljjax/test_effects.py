@@ -121,18 +121,18 @@ def test_a_run_starts_where_its_log_does_whatever_the_sensor_adds(robot):
 
 
 def test_a_filter_averages(robot):
-    """τ₂ = 0 is a first-order filter; τ₂ = τ a moving average over 6τ, which a first-order one is not."""
+    """r = 0 is a first-order filter; r = 1 a moving average over 6τ, which a first-order one is not."""
     t, window = np.linspace(0.0, 1.2, 2401), 0.12
     plain = np.interp(t, AT, np.asarray(seen(robot(3), drive())[:, 0]))
     grown = np.concatenate([np.full(400, plain[0]), plain])
     mean = np.convolve(grown, np.ones(round(window / 5e-4)) / round(window / 5e-4), mode="full")[400 : 400 + len(t)]
 
-    def off(tau: float, second: float) -> float:
-        kind = REGISTRY["sensor_filter"](**{"tau_s": tau, "second_s": second})
+    def off(tau: float, later: float) -> float:
+        kind = REGISTRY["sensor_filter"](**{"tau_s": tau, "later": later})
         filtered = seen(dataclasses.replace(robot(3), effects=(kind,)), drive())[:, 0]
         return float(np.sqrt(np.mean((filtered - np.interp(AT, t, mean)) ** 2)))
 
-    average, first, none = off(window / 6, window / 6), off(window / 2, 0.0), off(0.0, 0.0)
+    average, first, none = off(window / 6, 1.0), off(window / 2, 0.0), off(0.0, 0.0)
     assert average < 0.2 * first < 0.1 * none, (average, first, none)
 
 

@@ -1,0 +1,32 @@
+"""What the judgement makes of evidence, without a robot."""
+
+from __future__ import annotations
+
+from ljjax.gap import judge
+from ljjax.gap.judge import Evidence
+
+
+def evidence(left: dict[str, float], *, excess: float = 5.0, chance: float = 1e-9, sizes: dict[str, int] | None = None):
+    return Evidence(excess, left, sizes or dict.fromkeys(left, 1), 1e-4, chance, as_given=False)
+
+
+def test_a_gap_that_no_candidate_explains_is_not_called_none():
+    """Whatever the base leaves beyond the noise is something, even where no effect gains more than chance."""
+    for excess, answer in ((5.0, "unlisted_effect"), (0.05, "parameters_only"), (-0.02, "parameters_only")):
+        p = judge.probabilities(evidence({"contact": 0.99, "base_tilt": 0.98}, excess=excess, chance=1.0))
+        assert abs(sum(p.values()) - 1) < 1e-9
+        assert judge.verdict(p) == answer
+        assert p[answer] > 0.9
+
+
+def test_of_effects_that_leave_as_much_the_simpler_one_is_ahead():
+    p = judge.probabilities(evidence({"plain": 0.02, "rich": 0.02}, sizes={"plain": 1, "rich": 3}))
+    assert p["plain"] > p["rich"] > 0.2
+    p = judge.probabilities(evidence({"plain": 0.06, "rich": 0.02}, sizes={"plain": 1, "rich": 3}))
+    assert p["rich"] > 0.9
+
+
+def test_the_share_left_parts_listed_from_unlisted():
+    p = [judge.probabilities(evidence({"contact": x}))["unlisted_effect"] for x in (0.02, 0.1, 0.3, 0.6)]
+    assert p == sorted(p)
+    assert p[0] < 0.01 and p[-1] > 0.95
