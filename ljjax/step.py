@@ -67,17 +67,22 @@ class Drive(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """A and J of the inertia in absolute angles [kg·m²], as scalars."""
+    """The inertia in absolute angles [kg·m²], as scalars: A_ab = `off`[max(a, b)] where a ≠ b, and `own` A_aa + J_a."""
 
-    a: tuple[Vector, ...]
-    j: Vector
+    off: Vector
+    own: Vector
 
 
 def constants(model: Model) -> Constants:
-    """What a step needs of the chain and no step changes."""
-    a, j = inertia_constants(model.chain)
-    n = model.n
-    return Constants(tuple(tuple(a[i, k] for k in range(n)) for i in range(n)), tuple(j[i] for i in range(n)))
+    """What a step needs of the chain and no step changes: `ljjax.chain.inertia_constants` in closed form."""
+    chain, n = model.chain, model.n
+    link = 4 * chain.segment_mass_kg * chain.half_length_m**2
+    thick = chain.segment_mass_kg * chain.radius_m**2 / 4
+    off, own = [link / 8, link], [link / 24 + thick / 2, 5 / 6 * link + thick]  # from the last link on
+    for _ in range(2, n):
+        off.append(apart(off[-1] + link))
+        own.append(apart(own[-1] + link))
+    return Constants(tuple(off[:n][::-1]), tuple(own[:n][::-1]))
 
 
 def unroll(x: Array) -> Vector:
@@ -93,7 +98,7 @@ to compile so that it holds."""
 def _running(x: Sequence[Array]) -> list[Array]:
     out = list(x)
     for i in range(1, len(out)):
-        out[i] = out[i] + out[i - 1]
+        out[i] = apart(out[i] + out[i - 1])
     return out
 
 
@@ -109,48 +114,41 @@ def inertia_and_coriolis(
 ) -> tuple[tuple[Vector, ...], Vector]:
     """M(q), its lower rows, and C(q, v)v, from `directions(q)`: sums of A_ab cos(ψ_a − ψ_b) from the end on."""
     n = len(v)
-    omega = _running(v)
     m: list[list[Any]] = [[None] * n for _ in range(n)]
     for i in range(n - 1, -1, -1):
         for k in range(i, -1, -1):
-            x = c.a[i][k] * (cos[i] * cos[k] + sin[i] * sin[k])
-            if i == k:
-                x = x + c.j[i]
+            x = c.own[i] if i == k else c.off[i] * (cos[i] * cos[k] + sin[i] * sin[k])
             if i + 1 < n:
-                x = x + m[i + 1][k] - m[i + 1][k + 1]
-            if k < i:
+                x = x + m[i + 1][k] - m[i + 1][k + 1] + (m[i][k + 1] if k < i else m[i + 1][i])
+            elif k < i:
                 x = x + m[i][k + 1]
-            elif i + 1 < n:
-                x = x + m[i + 1][i]
-            m[i][k] = x
-        m[i][: i + 1] = apart(m[i][: i + 1])
-    square = [w * w for w in omega]
-    force = []
-    for i in range(n):
-        along = sum(c.a[i][k] * cos[k] * square[k] for k in range(n))
-        across = sum(c.a[i][k] * sin[k] * square[k] for k in range(n))
-        force.append(apart(sin[i] * along - cos[i] * across))
+            m[i][k] = apart(x)
+    square = [w * w for w in _running(v)]
+    along, across = (_weighted(c.off, [x * w for x, w in zip(part, square, strict=True)]) for part in (cos, sin))
+    force = [apart(sin[i] * along[i] - cos[i] * across[i]) for i in range(n)]
     return tuple(tuple(row[: i + 1]) for i, row in enumerate(m)), tuple(_running(force[::-1])[::-1])
+
+
+def _weighted(off: Vector, x: Sequence[Array]) -> list[Array]:
+    """Σ_k A_ik x_k over k ≠ i."""
+    before = _running(x[:-1])
+    after = _running([w * y for w, y in zip(off[:0:-1], x[:0:-1], strict=True)])[::-1]
+    inside = [apart(off[i] * before[i - 1] + after[i]) for i in range(1, len(x) - 1)]
+    return [*after[:1], *inside, off[-1] * before[-1]] if before else [jnp.zeros_like(y) for y in x]
 
 
 def _factor(matrix: Sequence[Sequence[Array]]) -> tuple[list[list[Any]], list[Any]]:
     """LDLᵀ of a symmetric matrix given by its lower rows: L and 1/D."""
     n = len(matrix)
-    low: list[list[Any]] = [[None] * n for _ in range(n)]
-    d: list[Any] = [None] * n
-    inverse: list[Any] = [None] * n
+    low = [list(row) for row in matrix]
+    inverse: list[Any] = []
     for j in range(n):
-        scaled = [low[j][s] * d[s] for s in range(j)]
-        d[j] = matrix[j][j] - sum(low[j][s] * scaled[s] for s in range(j)) if j else matrix[j][j]
-        inverse[j] = 1 / d[j]
+        inverse.append(apart(1 / low[j][j]))
+        column = [low[i][j] for i in range(n)[j:]]
         for i in range(j + 1, n):
-            rest = matrix[i][j]
-            for s in range(j):
-                rest = rest - low[i][s] * scaled[s]
-            low[i][j] = rest * inverse[j]
-        d[j], inverse[j], column = apart((d[j], inverse[j], [low[i][j] for i in range(j + 1, n)]))
-        for i in range(j + 1, n):
-            low[i][j] = column[i - j - 1]
+            low[i][j] = apart(low[i][j] * inverse[j])
+            for k in range(j + 1, i + 1):
+                low[i][k] = apart(low[i][k] - low[i][j] * column[k - j])
     return low, inverse
 
 
@@ -159,14 +157,12 @@ def _substitute(factors: tuple[list[list[Any]], list[Any]], right: Sequence[Arra
     y = list(right)
     n = len(y)
     for i in range(n):
-        for s in range(i):
-            y[i] = y[i] - low[i][s] * y[s]
-        y[i] = apart(y[i])
-    y = [y[i] * inverse[i] for i in range(n)]
-    for i in range(n - 1, -1, -1):
         for s in range(i + 1, n):
-            y[i] = y[i] - low[s][i] * y[s]
-        y[i] = apart(y[i])
+            y[s] = apart(y[s] - low[s][i] * y[i])
+    y = [apart(y[i] * inverse[i]) for i in range(n)]
+    for i in range(n - 1, -1, -1):
+        for s in range(i):
+            y[s] = apart(y[s] - low[i][s] * y[i])
     return tuple(y)
 
 
@@ -205,12 +201,15 @@ def _joint(stage: _Stage, i: int, v: Array, side: Array) -> tuple[Array, Array]:
     return torque, z
 
 
-def _felt(stage: _Stage, v: Sequence[Array], side: Sequence[Array]) -> tuple[list[Array], list[Array]]:
-    """Each joint's own torque [N·m] and its slope over the joint's rate [N·m·s/rad]."""
-    pairs = [
-        jax.jvp(lambda x, i=i: _joint(stage, i, x, side[i])[0], (v[i],), (jnp.ones_like(v[i]),)) for i in range(len(v))
-    ]
-    return apart(([torque for torque, _ in pairs], [slope for _, slope in pairs]))
+def _own(stage: _Stage, v: Sequence[Array], side: Sequence[Array]) -> tuple[list[Array], list[Array]]:
+    """`_joint` of all joints: torques and deflections."""
+    pairs = [_joint(stage, i, v[i], side[i]) for i in range(len(v))]
+    return [torque for torque, _ in pairs], [z for _, z in pairs]
+
+
+def _felt(stage: _Stage, v: Sequence[Array], side: Sequence[Array]) -> Any:
+    """`_own`, and its slopes over each joint's own rate."""
+    return apart(jax.jvp(lambda x: _own(stage, x, side), (list(v),), ([jnp.ones_like(x) for x in v],)))
 
 
 def _residual(stage: _Stage, v: Sequence[Array], torque: Sequence[Array]) -> list[Array]:
@@ -247,7 +246,7 @@ class How(NamedTuple):
 def _newton(how: How, start: Vector, stage: _Stage) -> tuple[Vector, Vector]:
     def iterate(carry: tuple[Vector, Vector]) -> tuple[Vector, Vector]:
         v, side = carry
-        torque, slope = _felt(stage, v, side)
+        (torque, _), (slope, _) = _felt(stage, v, side)
         right, matrix = apart(([-r for r in _residual(stage, v, torque)], _matrix(stage, v, slope)))
         step = _substitute(_factor(matrix), right)
         new = [x + dx for x, dx in zip(v, step, strict=True)]
@@ -268,8 +267,10 @@ def _newton(how: How, start: Vector, stage: _Stage) -> tuple[Vector, Vector]:
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _solve(how: How, start: Vector, stage: _Stage) -> Vector:
-    return _newton(how, start, stage)[0]
+def _solve(how: How, start: Vector, stage: _Stage) -> tuple[Vector, Vector]:
+    """The rates that solve a stage, and the deflections there."""
+    v, side = _newton(how, start, stage)
+    return v, tuple(_own(stage, v, side)[1])
 
 
 @_solve.defjvp
@@ -277,13 +278,13 @@ def _solve_jvp(how, primals, tangents):
     (start, stage), (_, moved) = primals, tangents
     v, side = _newton(how, start, stage)
     side = tuple(jnp.where(x == 0, s, jnp.sign(x)) for x, s in zip(v, side, strict=True))
-    factors = _factor(_matrix(stage, v, _felt(stage, v, side)[1]))
-
-    def residual(given: _Stage) -> list[Array]:
-        return _residual(given, v, [_joint(given, i, v[i], side[i])[0] for i in range(len(v))])
-
-    _, change = jax.jvp(residual, (stage,), (moved,))
-    return v, _substitute(factors, [-x for x in change])
+    (torque, z), (slope, stretch) = _felt(stage, v, side)
+    _, (more, bent) = apart(jax.jvp(lambda given: _own(given, v, side), (stage,), (moved,)))
+    _, change = apart(jax.jvp(lambda given: _residual(given, v, torque), (stage,), (moved,)))
+    right = apart([-(x + stage.s * y) for x, y in zip(change, more, strict=True)])
+    dv = _substitute(_factor(_matrix(stage, v, slope)), right)
+    dz = tuple(x + jnp.where(w == 0, stage.s, a) * y for x, a, y, w in zip(bent, stretch, dv, v, strict=True))
+    return (v, tuple(z)), (dv, dz)
 
 
 def at_rest(model: Model, q: Vector, drive: Drive) -> Unrolled:
@@ -397,8 +398,7 @@ def advance(model: Model, c: Constants, state: Unrolled, drive: Drive, h: Any, h
         stage = _Stage(
             q, v, z, m, load, s, time, model.gravity.alpha1, alpha2, phi, model.friction, model.effects, memory, slip
         )
-        new = _solve(how, start, stage)
-        deflected = tuple(_joint(stage, i, new[i], jnp.sign(new[i]))[1] for i in range(n))
+        new, deflected = _solve(how, start, stage)
         return apart((tuple(q[i] + s * new[i] for i in range(n)), new, deflected))
 
     begun = (state.q, state.v, state.z)
