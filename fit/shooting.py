@@ -176,7 +176,7 @@ class _Batch:
         self.of = np.repeat(np.arange(len(requests)), self.count)
         self.model = jax.tree.map(lambda *x: np.array(x, float), *(r.model for r in requests))
         self.slopes = jax.tree.map(
-            lambda *x: np.stack([np.pad(np.asarray(y), (0, width - len(y))) for y in x], axis=1),
+            lambda *x: np.stack([np.pad(np.asarray(y), (0, width + 1 - len(y))) for y in x], axis=1),
             *(r.slopes for r in requests),
         )
         self.drive = jax.tree.map(
@@ -190,7 +190,7 @@ class _Batch:
         self.model, self.slopes, self.drive, self.h, self.q, self.v = parts
 
     def robots(self, windows: Any) -> tuple[Model, Model]:
-        """Model and slopes of these windows (an index)."""
+        """Model of these windows (an index), and its slopes (k + 1, W), none along the starting angle."""
         mine = self.of[windows]
         return jax.tree.map(lambda x: x[..., mine], (self.model, self.slopes))
 
@@ -201,11 +201,27 @@ class _Batch:
         return Starts(*_tiled(_balance, (*self.robots(windows), q, v, first), TILE))
 
     def shoot(self, windows: Any, starts: Starts, joints: bool, onward: bool = False) -> Any:
-        """`_shoot` of these windows from `starts`."""
+        """`_shoot` of these windows from `starts`; where they are not run onward also `Answer.passed`."""
         take = lambda x: x[..., windows]  # noqa: E731
         drive, h = jax.tree.map(take, (self.drive, self.h))
-        given = (*self.robots(windows), starts.state, starts.slope, drive, h)
-        return _tiled(partial(_shoot, joints, onward), given, NARROW if onward else TILE)
+        (model, slopes), slope = self.robots(windows), starts.slope
+        if not onward:
+            slopes = jax.tree.map(lambda x: np.concatenate([x, np.zeros_like(x[:2])]), slopes)
+            slope = jax.tree.map(lambda *x: np.concatenate(x), slope, _alike(slope))
+        given = model, slopes, starts.state, slope, drive, h
+        ends, end_slopes, path, path_slopes = _tiled(partial(_shoot, joints, onward), given, NARROW if onward else TILE)
+        if onward:
+            return ends, end_slopes, path, path_slopes, None
+        passed = np.stack([np.stack([y[-2:] for y in x], axis=1) for x in (end_slopes[1].q, end_slopes[1].z)])
+        end_slopes, path_slopes = jax.tree.map(lambda s: s[:-2], (end_slopes, path_slopes))
+        return ends, end_slopes, path, path_slopes, passed
+
+
+def _alike(slope: Unrolled) -> Unrolled:
+    """Derivatives (2, W) of a start where all joints turn alike, and where all bristles stretch alike."""
+    zero = jax.tree.map(lambda s: np.zeros((2, *s.shape[1:]), s.dtype), slope)
+    turned, stretched = (tuple(x + np.eye(2, dtype=x.dtype)[:, [row]] for x in zero.q) for row in (0, 1))
+    return zero._replace(q=turned, z=stretched, sensed=None if zero.sensed is None else turned)
 
 
 def _answer(requests: Sequence[Request], width: int, joints: bool) -> list[Answer]:
@@ -322,10 +338,8 @@ def _balance(model, slopes, q, v, drive):
 
         return jax.vmap(one)(model, q, v, drive)
 
-    k = jax.tree.leaves(slopes)[0].shape[0]
-    along = jnp.zeros((k + 1, q[0].shape[0]), q[0].dtype).at[k].set(1.0)
-    with_angle = jax.tree.map(lambda s: jnp.concatenate([s, jnp.zeros_like(s[:1])]), slopes)
-    return _push(f, (model, q), (with_angle, tuple(along for _ in q)))
+    along = jnp.zeros_like(jax.tree.leaves(slopes)[0]).at[-1].set(1.0)
+    return _push(f, (model, q), (slopes, tuple(along for _ in q)))
 
 
 @partial(jax.jit, static_argnums=(0, 1), compiler_options=batch.options())
@@ -345,23 +359,8 @@ def _shoot(joints: bool, onward: bool, model, slopes, state, slope, drive, h):
         half = drive.left.shape[0] // 2 - 1
         return (jax.tree.map(lambda x: x[half], after), jax.tree.map(lambda x: x[-1], after)), path
 
-    with_angle = jax.tree.map(lambda s: jnp.concatenate([s, jnp.zeros_like(s[:1])]), slopes)
-    if onward:
-        (ends, path), (end_slopes, path_slopes) = _push(f, (model, state), (with_angle, slope))
-        return ends, end_slopes, path, path_slopes, jnp.zeros((1, h.shape[0]))
-    alike = jax.tree.map(lambda s: jnp.zeros((2, *s.shape[1:]), s.dtype), slope)
-    shifts = [tuple(x.at[i].set(1.0) for x in part) for i, part in enumerate((alike.q, alike.z))]
-    alike = alike._replace(q=shifts[0], z=shifts[1])
-    if alike.sensed is not None:
-        alike = alike._replace(sensed=shifts[0])
-    slope, with_angle = (
-        jax.tree.map(lambda a, b: jnp.concatenate([a, b]), slope, alike),
-        jax.tree.map(lambda s: jnp.concatenate([s, jnp.zeros_like(s[:2])]), with_angle),
-    )
-    (ends, path), (end_slopes, path_slopes) = _push(f, (model, state), (with_angle, slope))
-    passed = jnp.stack([jnp.stack([y[-2:] for y in x], axis=1) for x in (end_slopes[1].q, end_slopes[1].z)])
-    end_slopes, path_slopes = jax.tree.map(lambda s: s[:-2], (end_slopes, path_slopes))
-    return ends, end_slopes, path, path_slopes, passed
+    (ends, path), (end_slopes, path_slopes) = _push(f, (model, state), (slopes, slope))
+    return ends, end_slopes, path, path_slopes
 
 
 ON_STEP = 1e-6
