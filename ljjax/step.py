@@ -21,7 +21,7 @@ The model's effects hook in as `ljjax.effect` says.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -95,6 +95,14 @@ apart = jax.lax.optimization_barrier
 to compile so that it holds."""
 
 
+class How(NamedTuple):
+    """How to run a step: Newton iterations a stage (two simulate well, derivatives want three or more), and whether
+    iterations and stages are loops, which compile several times faster and run as fast where the batch is wide."""
+
+    iterations: int = 3
+    loops: bool = False
+
+
 def _running(x: Sequence[Array]) -> list[Array]:
     out = list(x)
     for i in range(1, len(out)):
@@ -117,7 +125,7 @@ def inertia_and_coriolis(
     m: list[list[Any]] = [[None] * n for _ in range(n)]
     for i in range(n - 1, -1, -1):
         for k in range(i, -1, -1):
-            x = c.own[i] if i == k else c.off[i] * (cos[i] * cos[k] + sin[i] * sin[k])
+            x = c.own[i] if i == k else apart(c.off[i] * (cos[i] * cos[k] + sin[i] * sin[k]))
             if i + 1 < n:
                 x = x + m[i + 1][k] - m[i + 1][k + 1] + (m[i][k + 1] if k < i else m[i + 1][i])
             elif k < i:
@@ -137,32 +145,37 @@ def _weighted(off: Vector, x: Sequence[Array]) -> list[Array]:
     return [*after[:1], *inside, off[-1] * before[-1]] if before else [jnp.zeros_like(y) for y in x]
 
 
-def _factor(matrix: Sequence[Sequence[Array]]) -> tuple[list[list[Any]], list[Any]]:
+def _less(how: How, x: Array, terms: Iterable[tuple[Array, Array]]) -> Array:
+    """x − Σ ab. In loops term by term, the same piece over and over, which is compiled once."""
+    for a, b in terms:
+        x = apart(x - a * b) if how.loops else x - a * b
+    return x
+
+
+def _factor(how: How, matrix: Sequence[Sequence[Array]]) -> tuple[list[list[Any]], list[Any]]:
     """LDLᵀ of a symmetric matrix given by its lower rows: L and 1/D."""
     n = len(matrix)
-    low = [list(row) for row in matrix]
-    inverse: list[Any] = []
+    low: list[list[Any]] = [[None] * n for _ in range(n)]
+    d: list[Any] = [None] * n
+    inverse: list[Any] = [None] * n
     for j in range(n):
-        inverse.append(apart(1 / low[j][j]))
-        column = [low[i][j] for i in range(n)[j:]]
+        scaled = apart([low[j][s] * d[s] for s in range(j)])
+        d[j] = apart(_less(how, matrix[j][j], zip(low[j], scaled, strict=False)))
+        inverse[j] = apart(1 / d[j])
         for i in range(j + 1, n):
-            low[i][j] = apart(low[i][j] * inverse[j])
-            for k in range(j + 1, i + 1):
-                low[i][k] = apart(low[i][k] - low[i][j] * column[k - j])
+            low[i][j] = apart(_less(how, matrix[i][j], zip(low[i], scaled, strict=False)) * inverse[j])
     return low, inverse
 
 
-def _substitute(factors: tuple[list[list[Any]], list[Any]], right: Sequence[Array]) -> Vector:
+def _substitute(how: How, factors: tuple[list[list[Any]], list[Any]], right: Sequence[Array]) -> Vector:
     low, inverse = factors
     y = list(right)
     n = len(y)
     for i in range(n):
-        for s in range(i + 1, n):
-            y[s] = apart(y[s] - low[s][i] * y[i])
-    y = [apart(y[i] * inverse[i]) for i in range(n)]
+        y[i] = apart(_less(how, y[i], [(low[i][s], y[s]) for s in range(i)]))
+    y = apart([y[i] * inverse[i] for i in range(n)])
     for i in range(n - 1, -1, -1):
-        for s in range(i):
-            y[s] = apart(y[s] - low[i][s] * y[i])
+        y[i] = apart(_less(how, y[i], [(low[s][i], y[s]) for s in range(i + 1, n)]))
     return tuple(y)
 
 
@@ -212,15 +225,16 @@ def _felt(stage: _Stage, v: Sequence[Array], side: Sequence[Array]) -> Any:
     return apart(jax.jvp(lambda x: _own(stage, x, side), (list(v),), ([jnp.ones_like(x) for x in v],)))
 
 
-def _residual(stage: _Stage, v: Sequence[Array], torque: Sequence[Array]) -> list[Array]:
+def _residual(how: How, stage: _Stage, v: Sequence[Array], torque: Sequence[Array]) -> list[Array]:
     """F(v), from the joints' own torques."""
     n = len(v)
-    change = [v[i] - stage.v[i] for i in range(n)]
+    change = apart([stage.v[i] - v[i] for i in range(n)])
     gravity = apart(stage.alpha1 * jnp.sin(sum(stage.q) + stage.s * sum(v)))
     out = []
     for i in range(n):
-        inertia = sum((stage.m[i][k] if k <= i else stage.m[k][i]) * change[k] for k in range(n))
-        out.append(inertia - stage.s * (stage.load[i] - gravity - torque[i]))
+        force = stage.s * (gravity + torque[i] - stage.load[i])
+        row = [stage.m[i][k] if k <= i else stage.m[k][i] for k in range(n)]
+        out.append(_less(how, force, zip(row, change, strict=True)))
     return out
 
 
@@ -235,20 +249,12 @@ def _matrix(stage: _Stage, v: Sequence[Array], slope: Sequence[Array]) -> list[l
     return rows
 
 
-class How(NamedTuple):
-    """How to run a step: Newton iterations a stage (two simulate well, derivatives want three or more), and whether
-    iterations and stages are loops, which compile several times faster and run as fast where the batch is wide."""
-
-    iterations: int = 3
-    loops: bool = False
-
-
 def _newton(how: How, start: Vector, stage: _Stage) -> tuple[Vector, Vector]:
     def iterate(carry: tuple[Vector, Vector]) -> tuple[Vector, Vector]:
         v, side = carry
         (torque, _), (slope, _) = _felt(stage, v, side)
-        right, matrix = apart(([-r for r in _residual(stage, v, torque)], _matrix(stage, v, slope)))
-        step = _substitute(_factor(matrix), right)
+        right, matrix = apart(([-r for r in _residual(how, stage, v, torque)], _matrix(stage, v, slope)))
+        step = _substitute(how, _factor(how, matrix), right)
         new = [x + dx for x, dx in zip(v, step, strict=True)]
         crossed = [a * x < 0 for a, x in zip(side, new, strict=True)]
         turned = [
@@ -280,9 +286,9 @@ def _solve_jvp(how, primals, tangents):
     side = tuple(jnp.where(x == 0, s, jnp.sign(x)) for x, s in zip(v, side, strict=True))
     (torque, z), (slope, stretch) = _felt(stage, v, side)
     _, (more, bent) = apart(jax.jvp(lambda given: _own(given, v, side), (stage,), (moved,)))
-    _, change = apart(jax.jvp(lambda given: _residual(given, v, torque), (stage,), (moved,)))
+    _, change = apart(jax.jvp(lambda given: _residual(how, given, v, torque), (stage,), (moved,)))
     right = apart([-(x + stage.s * y) for x, y in zip(change, more, strict=True)])
-    dv = _substitute(_factor(_matrix(stage, v, slope)), right)
+    dv = _substitute(how, _factor(how, _matrix(stage, v, slope)), right)
     dz = tuple(x + jnp.where(w == 0, stage.s, a) * y for x, a, y, w in zip(bent, stretch, dv, v, strict=True))
     return (v, tuple(z)), (dv, dz)
 
