@@ -317,6 +317,11 @@ def _tiled(kernel: Callable, arguments: Any, tile: int) -> Any:
 _ready: set[Any] = set()
 
 
+def _options() -> dict[str, Any]:
+    """Compiler options of the kernels here, which are compiled once a fit: less is optimised, and they run as fast."""
+    return {**batch.options(), "xla_backend_optimization_level": 1} if batch.options() else {}
+
+
 def _push(f: Callable, primals: Any, tangents: Any) -> Any:
     """f at the primals, and its derivatives along tangents stacked along a new first axis."""
 
@@ -326,7 +331,7 @@ def _push(f: Callable, primals: Any, tangents: Any) -> Any:
     return jax.vmap(along, out_axes=(None, 0))(tangents)
 
 
-@partial(jax.jit, compiler_options=batch.options())
+@partial(jax.jit, compiler_options=_options())
 def _balance(model, slopes, q, v, drive):
     """Starting states from the data, (W,), and their derivatives (k + 1, W)."""
 
@@ -342,7 +347,7 @@ def _balance(model, slopes, q, v, drive):
     return _push(f, (model, q), (slopes, tuple(along for _ in q)))
 
 
-@partial(jax.jit, static_argnums=(0, 1), compiler_options=batch.options())
+@partial(jax.jit, static_argnums=(0, 1), compiler_options=_options())
 def _shoot(joints: bool, onward: bool, model, slopes, state, slope, drive, h):
     """Middles and ends of the windows, the path (q, v, what is seen − q) from start to end, and all derivatives."""
 
