@@ -352,10 +352,12 @@ def _shoot(joints: bool, onward: bool, model, slopes, state, slope, drive, h):
     """Middles and ends of the windows, the path (q, v, what is seen − q) from start to end, and all derivatives."""
 
     def f(model, state):
-        def one(m, s, d, h):
+        def run(m, s, d, h):
             return fast.path(m, s, d, h, How(2 if onward else 3, loops=True))
 
-        after = jax.vmap(one, in_axes=(0, 0, 1, 0), out_axes=1)(model, state, drive, h)
+        if model.effects or model.lever:  # which know of one robot only
+            run = jax.vmap(run, in_axes=(0, 0, 1, 0), out_axes=1)
+        after = run(model, state, drive, h)  # the model itself is arithmetic on whole batches, traced sooner so
         full = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, after)
         seen = () if full.sensed is None else tuple(a - b for a, b in zip(full.sensed, full.q, strict=True))
         path = (full.q, full.v, seen)

@@ -160,10 +160,10 @@ def _factor(how: How, matrix: Sequence[Sequence[Array]]) -> tuple[list[list[Any]
     inverse: list[Any] = [None] * n
     for j in range(n):
         scaled = apart([low[j][s] * d[s] for s in range(j)])
-        d[j] = apart(_less(how, matrix[j][j], zip(low[j], scaled, strict=False)))
+        d[j] = apart(_less(how, matrix[j][j], zip(low[j][:j], scaled, strict=True)))
         inverse[j] = apart(1 / d[j])
         for i in range(j + 1, n):
-            low[i][j] = apart(_less(how, matrix[i][j], zip(low[i], scaled, strict=False)) * inverse[j])
+            low[i][j] = apart(_less(how, matrix[i][j], zip(low[i][:j], scaled, strict=True)) * inverse[j])
     return low, inverse
 
 
