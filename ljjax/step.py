@@ -30,7 +30,6 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ljjax import energy
-from ljjax.chain import inertia_constants
 from ljjax.effect import Effect, Memory, Now, Vector, overrides
 from ljjax.friction import stribeck
 from ljjax.model import Friction, Model
@@ -97,7 +96,8 @@ to compile so that it holds."""
 
 class How(NamedTuple):
     """How to run a step: Newton iterations a stage (two simulate well, derivatives want three or more), and whether
-    iterations and stages are loops, which compile several times faster and run as fast where the batch is wide."""
+    iterations and stages are loops, and sums taken term by term, which compiles several times faster and runs as fast
+    where the batch is wide."""
 
     iterations: int = 3
     loops: bool = False
@@ -285,8 +285,8 @@ def _solve_jvp(how, primals, tangents):
     v, side = _newton(how, start, stage)
     side = tuple(jnp.where(x == 0, s, jnp.sign(x)) for x, s in zip(v, side, strict=True))
     (torque, z), (slope, stretch) = _felt(stage, v, side)
-    _, (more, bent) = apart(jax.jvp(lambda given: _own(given, v, side), (stage,), (moved,)))
-    _, change = apart(jax.jvp(lambda given: _residual(how, given, v, torque), (stage,), (moved,)))
+    more, bent = apart(jax.jvp(lambda given: _own(given, v, side), (stage,), (moved,))[1])
+    change = jax.jvp(lambda given: _residual(how, given, v, torque), (stage,), (moved,))[1]
     right = apart([-(x + stage.s * y) for x, y in zip(change, more, strict=True)])
     dv = _substitute(how, _factor(how, _matrix(stage, v, slope)), right)
     dz = tuple(x + jnp.where(w == 0, stage.s, a) * y for x, a, y, w in zip(bent, stretch, dv, v, strict=True))
