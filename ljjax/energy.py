@@ -19,13 +19,13 @@ def root(u_p: Float[Array, "..."]) -> Float[Array, "..."]:
     return u / jnp.sqrt(u + ROOT_SCALE_KPA)
 
 
-def alpha2(model: Model, u_p: Scalar) -> Scalar:
+def alpha2(model: Model, u_p: Float[Array, "..."]) -> Float[Array, "..."]:
     """α₂(u_P) = c₁u_P² + c₂u_P + c₃ [N·m/rad]."""
     e = model.elastic
     return (e.c1 * u_p + e.c2) * u_p + e.c3
 
 
-def phi(model: Model, u_p: Scalar) -> Scalar:
+def phi(model: Model, u_p: Float[Array, "..."]) -> Float[Array, "..."]:
     """φ(u_P) = c₄ + c₅√u_P [N·m]."""
     return model.jamming.c4 + model.jamming.c5 * root(u_p)
 
