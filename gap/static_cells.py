@@ -135,6 +135,8 @@ def grid(about: Mapping[str, Any], extent: Mapping[str, float]) -> np.ndarray:
     """Values at which a form's parameter is tried, around those from which searches begin."""
     values = pilots(about, extent)
     size = np.abs(values)
+    if not size.all():  # a share
+        return np.linspace(about["low"], about["high"], GRID)
     spread = np.geomspace(size.min() / 2.5, size.max() * 1.6, GRID if len(size) < GRID else 2 * len(size))
     signs = np.unique(np.sign(values))
     return np.clip(np.concatenate([s * spread for s in signs]), about["low"], about["high"])

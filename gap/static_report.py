@@ -84,8 +84,8 @@ def _cards(story: Any, result: Diagnosis) -> list[tuple[str, str]]:
         change = f"{c.base.rms(keep):.3g} → {c.model.rms(keep):.2g} {c.unit}"
         out.append((change, f"error at {where}, {NAMES[c.kind]} (scatter {c.noise:.2g})"))
     if gap.closed_fraction is not None and gap.closed_fraction_ci95 is not None:
-        low, high = (100 * min(x, 1.0) for x in gap.closed_fraction_ci95)
-        closed = min(100 * gap.closed_fraction, 100.0)
+        low, high = (100 * x for x in gap.closed_fraction_ci95)
+        closed = 100 * gap.closed_fraction
         out.append((f"{closed:.0f} %", f"of the {gap.channel} gap closed (95 %: {low:.0f} to {high:.0f} %)"))
     return out
 

@@ -23,7 +23,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.blind import cases, figures, judge
+from benchmarks.blind import cases, figures, judge, page
 from benchmarks.blind.cases import Case
 
 LIMIT_S = 3600.0
@@ -183,6 +183,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1, help="diagnoses side by side")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-timing", action="store_true", help="leave out the comparison with the time of ljjax fit")
+    parser.add_argument("--page", action="store_true", help="write docs/blind.md and its pictures too")
     given = parser.parse_args()
     if "small" in (given.cases, given.only):
         chosen = cases.small_set(given.seed)
@@ -197,6 +198,10 @@ def main() -> None:
     found = study(chosen, out, given.jobs, not given.no_timing)
     found |= {"seed": given.seed}
     save(found, given.out)
+    if given.page:
+        said = ["python -m benchmarks.blind.study", f"--seed {given.seed}", f"--cases {given.cases}"]
+        said += [f"--only {given.only}"] if given.only else []
+        page.write(found, " ".join([*said, "--page"]), Path(__file__).parents[2] / "docs")
     show(found, Console(width=None if sys.stdout.isatty() else 170))
 
 

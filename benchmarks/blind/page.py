@@ -1,0 +1,76 @@
+"""docs/blind.md and its pictures, from a scoreboard."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.blind import figures
+
+HEAD = """# The blind check
+
+How well `ljjax gap` names causes, on {count} robots from two simulators that share no code with ljjax. What is planted,
+how the labels are sealed and how answers are judged is told [beside the code](../benchmarks/blind/README.md). This
+page is written by
+
+```sh
+{command}
+```
+
+and holds whatever came out, failures included. A share of few cases is known roughly: the interval beside it is
+Wilson's, of 95 %.
+
+"""
+MARK = {True: "met", False: "**missed**", None: "no cases"}
+RIGHT = {True: "yes", False: "**no**", None: "–"}
+
+
+def write(found: Mapping[str, Any], command: str, docs: Path) -> None:
+    """The page, its confusion matrix and its reliability diagram into the folder `docs`."""
+    lines = [HEAD.format(count=len(found["cases"]), command=command)]
+    lines += _table(("goal", "asked", "reached", "95 %", "cases", ""), [_goal(r) for r in found["rows"]])
+    c = found["calibration"]
+    if c["bins"]:
+        lines.append(
+            f"Calibration of the first answer's probability: expected calibration error {c['ece']:.3f}, Brier score "
+            f"{c['brier']:.3f} over all answers.\n\n![Reliability](blind_reliability.png)\n\n"
+        )
+        figures.reliability(found, docs / "blind_reliability.png")
+    if found["confusion"]:
+        lines.append("![Planted against first answer](blind_confusion.png)\n\n")
+        figures.confusion(found, docs / "blind_confusion.png")
+    lines.append("## Every case\n\n")
+    head = ("planted", "gap ÷ noise", "verdict", "first", "selected", "right", "closed")
+    lines += _table(head, [_case(r) for r in found["cases"]])
+    (docs / "blind.md").write_text("".join(lines).rstrip() + "\n", encoding="utf-8")
+
+
+def wilson(share: float, count: int) -> tuple[float, float]:
+    """95 % interval of a share of so many cases (Wilson, 1927)."""
+    z2 = 1.96**2
+    middle = (share + z2 / (2 * count)) / (1 + z2 / count)
+    half = 1.96 * (share * (1 - share) / count + z2 / (4 * count**2)) ** 0.5 / (1 + z2 / count)
+    return max(middle - half, 0.0), min(middle + half, 1.0)
+
+
+def _goal(r: Mapping[str, Any]) -> list[str]:
+    shares = r["value"] is not None and r["cases"] > 1 and not any(x in r["name"] for x in ("median", "error", "time"))
+    low, high = wilson(r["value"], r["cases"]) if shares else (0.0, 0.0)
+    value = "–" if r["value"] is None else f"{r['value']:.3g}"
+    return [r["name"], r["goal"], value, f"{low:.2f} – {high:.2f}" if shares else "", str(r["cases"]), MARK[r["met"]]]
+
+
+def _case(r: Mapping[str, Any]) -> list[str]:
+    planted = " + ".join(r["truth"]) or r["kind"]
+    planted += " (deleted)" * (r["kind"] == "without") + " (MuJoCo)" * (r["kind"] == "mujoco")
+    gap = f"{r['gap_over_noise']:.1f}" + " (weak)" * (not r["attained"]) if r["truth"] else "–"
+    first = ", ".join(f"{name} {p:.2f}" for name, p in r["top"][:1])
+    right = r["exactly"] if r["kind"] == "pairs" and "exactly" in r else r["top_right"]
+    closed = "–" if r["closed"] is None else f"{r['closed']:.2f}"
+    return [planted, gap, str(r["verdict"]), first, ", ".join(r["selected"]), RIGHT[right], closed]
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    lines = [head, ["---"] * len(head), *rows]
+    return ["| " + " | ".join(line) + " |\n" for line in lines] + ["\n"]

@@ -1,0 +1,108 @@
+"""The blind check in small: labels stay sealed, answers are judged as told, and one robot goes through all of it."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from benchmarks.blind import cases, judge, page, seal, study
+
+SEED = 11
+
+
+def test_a_label_opens_only_after_the_answer_and_only_if_it_is_the_one_sealed(tmp_path):
+    sealed, public, answer = tmp_path / "label.json", tmp_path / "public", tmp_path / "gap.json"
+    public.mkdir()
+    seal.close({"causes": ["contact"]}, sealed, public)
+    with pytest.raises(PermissionError, match="stays closed"):
+        seal.opened(sealed, public, answer)
+    answer.write_text("{}")
+    assert seal.opened(sealed, public, answer) == {"causes": ["contact"]}
+    sealed.write_text(sealed.read_text().replace("contact", "base_tilt"))
+    with pytest.raises(ValueError, match="not the one published"):
+        seal.opened(sealed, public, answer)
+
+
+def label(kind: str, *causes: str, tension: bool = True, gap: float = 10.0) -> dict:
+    sensors = {"tension": tension, "pressure": True, "temperature": False}
+    about = {"case_id": "case-1", "kind": kind, "causes": list(causes), "size": "large", "columns": 6}
+    return {**about, "sensors": sensors, "gap_over_noise": gap, "theta_noise_rad": 1e-3}
+
+
+def answer(first: str, *selected: str, verdict: str = "listed_effect", equivalent: tuple = ()) -> dict:
+    return {
+        "verdict": verdict,
+        "effects": [{"id": first, "probability": 0.9}, {"id": "tip_payload", "probability": 0.1}],
+        "selected": list(selected),
+        "equivalent": [list(x) for x in equivalent],
+        "where": [{"block": "actuation", "axis": "rate"}],
+        "gap": {"closed_fraction": 0.9, "closed_fraction_ci95": [0.8, 1.0]},
+    }
+
+
+def test_answers_are_judged_by_the_rules():
+    lag = judge.judge(label("effects", "actuator_lag"), answer("actuator_lag", "actuator_lag"), [2e-2, 2e-3])
+    assert lag["top_right"] and lag["found"] and lag["block_right"] and lag["axis_right"]
+    assert lag["closed"] == pytest.approx(1 - 3 / 399)
+    assert lag["covered"]
+
+    delay = answer("sensor_delay", "sensor_delay")  # where tension is measured it could have been told
+    assert not judge.judge(label("effects", "actuator_delay"), delay, None)["top_right"]
+    assert judge.judge(label("effects", "actuator_delay", tension=False), delay, None)["top_right"]
+
+    near = answer("contact", "contact", equivalent=(("contact", "stiffness_hardening"),))
+    row = judge.judge(label("effects", "stiffness_hardening"), near, None)
+    assert row["found"] and not row["top_right"]
+
+    both = label("pairs", "actuator_lag", "contact")
+    assert judge.judge(both, answer("contact", "contact", "actuator_lag"), None)["exactly"]
+    assert not judge.judge(both, answer("contact", "contact"), None)["found"]
+    assert not judge.judge(both, answer("contact", "contact", "actuator_lag", "base_tilt"), None)["exactly"]
+
+    nothing = judge.judge(label("controls", gap=0.0), answer("no_gap", verdict="no_gap"), None)
+    assert nothing["top_right"] and not nothing["claimed"]
+    assert judge.judge(label("controls", gap=0.0), answer("contact", "contact"), None)["claimed"]
+    outside = judge.judge(label("unlisted", "dropout"), answer("unlisted_effect", verdict="unlisted_effect"), None)
+    assert outside["unlisted"] and outside["top_right"]
+    failed = judge.judge(label("effects", "contact"), None, None)
+    assert failed["failed"] and failed["claimed"] and not failed["top_right"]
+
+
+def test_the_scoreboard_counts_and_the_page_shows_failures(tmp_path):
+    rows = [
+        judge.judge(label("effects", "contact"), answer("contact", "contact"), [2e-2, 2e-3]),
+        judge.judge(label("effects", "base_tilt"), answer("contact", "contact"), [2e-2, 2e-2]),
+        judge.judge(label("effects", "base_tilt", gap=1.0), answer("contact", "contact"), None),  # too weak to count
+        judge.judge(label("parameters", gap=0.0), answer("contact", "contact"), None),
+    ]
+    found = judge.scoreboard(rows, {"ratio": 7.0, "fit_s": 1.0, "gap_s": 7.0})
+    by_name = {r["name"]: r for r in found["rows"]}
+    assert (
+        by_name["true cause ranked first"] | {"value": 0.5, "met": False, "cases": 2}
+        == by_name["true cause ranked first"]
+    )
+    assert by_name["effect claimed where there is none"]["value"] == 1.0
+    assert by_name["time of the diagnosis over that of ljjax fit"]["met"]
+    assert found["calibration"]["ece"] == pytest.approx(0.9 - 1 / 3)
+    page.write(found, "make blind", tmp_path)
+    text = (tmp_path / "blind.md").read_text()
+    assert "| true cause ranked first | ≥ 0.90 | 0.5 | 0.09 – 0.91 | 2 | **missed** |" in text
+    assert text.count("| **no** |") == 3
+    assert (tmp_path / "blind_confusion.png").exists() and (tmp_path / "blind_reliability.png").exists()
+
+
+def test_one_robot_from_the_draw_to_the_scoreboard(tmp_path):
+    """The first large effect of a seed that was chosen before anything ran; the command in a process of its own."""
+    (case,) = [c for c in cases.small_set(SEED) if c.kind == "effects"][:1]
+    found = study.study([case], tmp_path, 1, timing=False)
+    (row,) = found["cases"]
+    folder = tmp_path / "cases" / case.case_id
+    assert not row["failed"]
+    assert {p.name for p in folder.iterdir()} == {"logs", "model.toml", "label.sha256"}
+    said = b"".join(p.read_bytes() for p in folder.rglob("*") if p.is_file())
+    assert not any(cause.encode() in said for cause in case.causes)
+    data = json.loads((tmp_path / "answers" / case.case_id / "gap.json").read_text())
+    assert row["top_right"], data["effects"][:3]
+    again = study.study([case], tmp_path, 1, timing=False)  # what is done is kept
+    assert again["cases"] == found["cases"]
