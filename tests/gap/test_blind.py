@@ -92,8 +92,10 @@ def test_the_scoreboard_counts_and_the_page_shows_failures(tmp_path):
     assert (tmp_path / "blind_confusion.png").exists() and (tmp_path / "blind_reliability.png").exists()
 
 
-def test_one_robot_from_the_draw_to_the_scoreboard(tmp_path):
-    """The first large effect of a seed that was chosen before anything ran; the command in a process of its own."""
+def test_one_robot_from_the_draw_to_the_scoreboard(tmp_path, monkeypatch):
+    """The first large effect of a seed that was chosen before anything ran, in shorter runs; the command in a process
+    of its own."""
+    monkeypatch.setattr(cases, "SECONDS", 8.0)
     (case,) = [c for c in cases.small_set(SEED) if c.kind == "effects"][:1]
     found = study.study([case], tmp_path, 1, timing=False)
     (row,) = found["cases"]
