@@ -55,10 +55,12 @@ def wilson(share: float, count: int) -> tuple[float, float]:
 
 
 def _goal(r: Mapping[str, Any]) -> list[str]:
-    shares = r["value"] is not None and r["cases"] > 1 and not any(x in r["name"] for x in ("median", "error", "time"))
-    low, high = wilson(r["value"], r["cases"]) if shares else (0.0, 0.0)
-    value = "–" if r["value"] is None else f"{r['value']:.3g}"
-    return [r["name"], r["goal"], value, f"{low:.2f} – {high:.2f}" if shares else "", str(r["cases"]), MARK[r["met"]]]
+    share, count = r["value"], int(r["cases"])
+    value, interval = "–" if share is None else f"{share:.3g}", ""
+    if share is not None and count > 1 and not any(x in r["name"] for x in ("median", "error", "time")):
+        low, high = wilson(float(share), count)
+        interval = f"{low:.2f} – {high:.2f}"
+    return [r["name"], r["goal"], value, interval, str(count), MARK[r["met"]]]
 
 
 def _case(r: Mapping[str, Any]) -> list[str]:
