@@ -201,6 +201,7 @@ def main() -> None:
     if given.page:
         said = ["python -m benchmarks.blind.study", f"--seed {given.seed}", f"--cases {given.cases}"]
         said += [f"--only {given.only}"] if given.only else []
+        said += ["--no-timing"] if given.no_timing else []
         page.write(found, " ".join([*said, "--page"]), Path(__file__).parents[2] / "docs")
     show(found, Console(width=None if sys.stdout.isatty() else 170))
 
