@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import arm, lagged, positive
+from ljjax.effects.shapes import arm, lagged, positive, turned
 
 
 class ActuatorDelay(Effect):
@@ -144,5 +144,4 @@ class TendonFriction(Effect):
 
     def remember(self, memory, now, after):
         moved = sum(b - a for a, b in zip(now.q, after.q, strict=True))
-        whole = jnp.abs(moved) + self.still_rad_s * now.h
-        return (moved / whole + (memory[0] - moved / whole) * jnp.exp(-whole / TURN_RAD),)
+        return (turned(memory[0], moved, TURN_RAD, self.still_rad_s * now.h),)

@@ -26,9 +26,12 @@ def lagged(x: Array, held: Array, tau: Array, h: Array) -> tuple[Array, Array]:
     return x + (held - x) * (1 - decay) * tau / h, x + (held - x) * decay
 
 
-def turned(way: Array, moved: Any, width: float | Array) -> Array:
-    """Direction of motion in [−1, 1] after a way `moved`, turning round within about `width` (Dahl's relay)."""
-    return jnp.sign(moved) + (way - jnp.sign(moved)) * jnp.exp(-jnp.abs(moved) / width)
+def turned(way: Array, moved: Any, width: float | Array, rest: Array | None = None) -> Array:
+    """Direction of motion in [−1, 1] after a way `moved`, turning round within about `width` (Dahl's relay); it fades
+    as if the way `rest` > 0, in no direction, had been gone beside."""
+    whole = jnp.abs(moved) if rest is None else jnp.abs(moved) + rest
+    goal = jnp.sign(moved) if rest is None else moved / whole
+    return goal + (way - goal) * jnp.exp(-whole / width)
 
 
 def arm(now: Now) -> Array:
