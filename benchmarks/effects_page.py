@@ -35,10 +35,13 @@ from ljjax.simulation import rest
 DOCS = Path(__file__).parents[1] / "docs"
 SECONDS, STEP_S = 8.0, 0.005
 ALIKE = 0.95
-SHOWN = {"actuator_saturation.limit_n": 12.0, "contact.angle_rad": 0.06, "actuator_ripple.waves": 25.0}
+SHOWN = {
+    "actuator_saturation.limit_n": 12.0, "actuator_deadband.band_n": 3.0, "contact.angle_rad": 0.06,
+    "actuator_ripple.waves": 25.0,
+}  # fmt: skip
 SIZE = {
     "actuator_delay": 0.15, "actuator_lag": 0.15, "sensor_delay": 0.15, "sensor_filter": 0.15, "pressure_lag": 0.5,
-    "tendon_slack": 3.0, "actuator_deadband": 3.0, "tip_payload": 0.3, "viscous_damping": 0.5, "layer_wear": 0.8,
+    "tendon_slack": 3.0, "actuator_deadband": 1.0, "tip_payload": 0.3, "viscous_damping": 0.5, "layer_wear": 0.8,
     "friction_asymmetry": 0.6, "load_dependent_friction": 1.0, "tendon_friction": 0.8, "viscoelastic_creep": 2.0,
     "stiffness_hardening": 60.0, "layer_hysteresis": 0.02, "contact": 10.0, "pressure_leak": 0.7,
     "gravity_distribution": 1.5,

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import arm, lagged, positive, turned
+from ljjax.effects.shapes import arm, lagged, play, positive, turned
 
 
 class ActuatorDelay(Effect):
@@ -20,13 +20,21 @@ class ActuatorDelay(Effect):
 
 
 class ActuatorDeadband(Effect):
-    """Stiction of gearbox and spool eats the first d newtons: (T − d)₊."""
+    """Stiction of gearbox and spool eats of each tension a share s of its first d newtons: T − s T (1 + (T/d)^p)^(−1/p),
+    which is (T − d)₊ for s = 1 and a sharp edge, p → ∞."""
 
     id, block, axes = "actuator_deadband", "actuation", ("load", "everywhere", "angle")
-    band_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.5)
+    share: jax.Array = parameter("1", 0.0, 0.0, 1.0, 0.5)
+    band_n: jax.Array = shape("N", 1.0, 0.01, 50.0, (0.02, 0.05, 0.12), "tension")
+    edge: jax.Array = shape("1", 8.0, 1.0, 8.0, (2.0, 8.0))
 
     def actuate(self, memory, u, now):
-        return tuple(jnp.where(t > self.band_n, t - self.band_n, 0.0 * t) for t in u), memory
+        def lost(t):
+            pulls = t > 0
+            over = jnp.log(jnp.where(pulls, t, 1.0 + 0.0 * t) / self.band_n)
+            return jnp.where(pulls, t * jnp.exp(-jnp.logaddexp(0.0 * over, self.edge * over) / self.edge), 0.0 * t)
+
+        return tuple(t - self.share * lost(t) for t in u), memory
 
 
 class ActuatorGain(Effect):
@@ -95,23 +103,21 @@ class ActuatorRipple(Effect):
 
 
 class TendonSlack(Effect):
-    """Backlash between spool and body: the net tension passes a play of half-width w."""
+    """Backlash between spool and body: each tendon's tension passes a play of half-width w, and their difference one of
+    half-width w_d."""
 
     id, block, axes = "tendon_slack", "actuation", ("direction", "load", "rate")
     width_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.5)
+    net_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.5)
 
     def start(self, now):
-        net = now.u[0] - now.u[1]
-        return net, 0.0 * net
+        return tuple((x, 0.0 * x) for x in (*now.u, now.u[0] - now.u[1]))
 
     def actuate(self, memory, u, now):
-        net, (held, way) = u[0] - u[1], memory
-        w = self.width_n
-        play = jnp.where(net - w > held, net - w, jnp.where(net + w < held, net + w, held))
-        way = jnp.where(net > held, 1.0 + 0.0 * net, jnp.where(net < held, -1.0 + 0.0 * net, way))
-        new = jnp.where(w > 0, play, net - w * way)  # without play what is held must not linger in the derivatives
-        half = 0.5 * (new - net)
-        return (u[0] + half, u[1] - half), (new, way)
+        (one, first), (two, second) = (play(x, self.width_n, m) for x, m in zip(u, memory[:2], strict=True))
+        net, third = play(one - two, self.net_n, memory[2])
+        half = 0.5 * (net - (one - two))
+        return (one + half, two - half), (first, second, third)
 
 
 TURN_RAD = 0.01

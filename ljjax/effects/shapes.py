@@ -26,6 +26,15 @@ def lagged(x: Array, held: Array, tau: Array, h: Array) -> tuple[Array, Array]:
     return x + (held - x) * (1 - decay) * tau / h, x + (held - x) * decay
 
 
+def play(x: Array, width: Array, memory: Vector) -> tuple[Array, Vector]:
+    """What passes of x through a play of this half-width, and its memory: what it held, and the way it last moved."""
+    held, way = memory
+    through = jnp.where(x - width > held, x - width, jnp.where(x + width < held, x + width, held))
+    way = jnp.where(x > held, 1.0 + 0.0 * x, jnp.where(x < held, -1.0 + 0.0 * x, way))
+    new = jnp.where(width > 0, through, x - width * way)  # without play what is held must not stay in the derivatives
+    return new, (new, way)
+
+
 def turned(way: Array, moved: Any, width: float | Array, rest: Array | None = None) -> Array:
     """Direction of motion in [−1, 1] after a way `moved`, turning round within about `width` (Dahl's relay); it fades
     as if the way `rest` > 0, in no direction, had been gone beside."""
