@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import arm, lagged, play, positive, turned
+from ljjax.effects.shapes import arm, bounded, lagged, play, turned
 
 
 class ActuatorDelay(Effect):
@@ -20,8 +20,8 @@ class ActuatorDelay(Effect):
 
 
 class ActuatorDeadband(Effect):
-    """Stiction of gearbox and spool eats of each tension a share s of its first d newtons: T − s T (1 + (T/d)^p)^(−1/p),
-    which is (T − d)₊ for s = 1 and a sharp edge, p → ∞."""
+    """Stiction of gearbox and spool eats a share s of each tension's first d newtons: T − s T (1 + (T/d)^p)^(−1/p),
+    (T − d)₊ for s = 1 and a sharp edge, p → ∞."""
 
     id, block, axes = "actuator_deadband", "actuation", ("load", "everywhere", "angle")
     share: jax.Array = parameter("1", 0.0, 0.0, 1.0, 0.5)
@@ -29,12 +29,7 @@ class ActuatorDeadband(Effect):
     edge: jax.Array = shape("1", 8.0, 1.0, 8.0, (2.0, 8.0))
 
     def actuate(self, memory, u, now):
-        def lost(t):
-            pulls = t > 0
-            over = jnp.log(jnp.where(pulls, t, 1.0 + 0.0 * t) / self.band_n)
-            return jnp.where(pulls, t * jnp.exp(-jnp.logaddexp(0.0 * over, self.edge * over) / self.edge), 0.0 * t)
-
-        return tuple(t - self.share * lost(t) for t in u), memory
+        return tuple(t - self.share * bounded(t, self.band_n, self.edge) for t in u), memory
 
 
 class ActuatorGain(Effect):
@@ -50,14 +45,15 @@ class ActuatorGain(Effect):
 
 
 class ActuatorSaturation(Effect):
-    """Beyond a limit the tension follows its command by 1 − s only: T − s (T − T_max)₊."""
+    """A share s of each tension stays below a limit L, the edge smooth or sharp: T (1 − s) + s T (1 + (T/L)^p)^(−1/p)."""
 
     id, block, axes = "actuator_saturation", "actuation", ("load", "angle")
     share: jax.Array = parameter("1", 0.0, 0.0, 1.0, 0.5)
     limit_n: jax.Array = shape("N", 10.0, 0.05, 1e3, (0.45, 0.65, 0.85), "tension")
+    edge: jax.Array = shape("1", 8.0, 1.0, 16.0, (2.0, 8.0))
 
     def actuate(self, memory, u, now):
-        return tuple(t - self.share * positive(t - self.limit_n) for t in u), memory
+        return tuple(t - self.share * (t - bounded(t, self.limit_n, self.edge)) for t in u), memory
 
 
 class ActuatorLag(Effect):
@@ -78,27 +74,33 @@ class ActuatorLag(Effect):
 
 
 class ActuatorRipple(Effect):
-    """Ripple over each spool's angle, which goes with the bend and with the stretch c of the tendon, s = ±q_Σ + c T:
-    cogging a sin(w s) + b cos(w s), and as much of each tendon's own tension, of a phase of its own."""
+    """Ripple over each spool's angle φ, which goes with the bend and with the stretch c of the tendon, ±q_Σ + c T:
+    T + A Σₖ aₖ sin(k w φ) + bₖ cos(k w φ), k = 1, 2, each tendon with a phase of its own; A = T/(1 + T/T₀) is the
+    tension itself (ripple of the torque) below T₀ and stays there beyond it (cogging)."""
 
     id, block, axes = "actuator_ripple", "actuation", ("angle", "load")
-    sine_n: jax.Array = parameter("N", 0.0, -10.0, 10.0, 0.3)
-    cosine_n: jax.Array = parameter("N", 0.0, -10.0, 10.0, 0.3)
     left_sine: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.05)
     left_cosine: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.05)
+    left_sine2: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.03)
+    left_cosine2: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.03)
     right_sine: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.05)
     right_cosine: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.05)
+    right_sine2: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.03)
+    right_cosine2: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.03)
     waves: jax.Array = shape("1/rad", 15.0, 2.0, 200.0, (5.0, 8.0, 12.0, 18.0, 27.0, 40.0), "waves")
-    stretch: jax.Array = shape("rad/N", 0.01, 1e-4, 0.3, (0.001, 0.006, 0.02))
+    stretch: jax.Array = shape("rad/N", 0.01, 1e-4, 0.3, (0.002, 0.015))
+    knee_n: jax.Array = shape("N", 10.0, 0.1, 1e3, (0.1, 5.0), "tension")
 
     def actuate(self, memory, u, now):
         bend = sum(now.middle)
-        own = (self.left_sine, self.left_cosine), (self.right_sine, self.right_cosine)
+        left = self.left_sine, self.left_cosine, self.left_sine2, self.left_cosine2
+        right = self.right_sine, self.right_cosine, self.right_sine2, self.right_cosine2
         out = []
-        for t, angle, (sine, cosine) in zip(u, (bend, -bend), own, strict=True):
+        for t, angle, (a1, b1, a2, b2) in zip(u, (bend, -bend), (left, right), strict=True):
             phase = self.waves * (angle + self.stretch * t)
             s, c = jnp.sin(phase), jnp.cos(phase)
-            out.append(t * (1 + sine * s + cosine * c) + 0.5 * (self.sine_n * s + self.cosine_n * c))
+            wave = a1 * s + b1 * c + 2 * a2 * s * c + b2 * (c * c - s * s)
+            out.append(t + wave * t / (1 + t / self.knee_n))
         return tuple(out), memory
 
 

@@ -38,13 +38,14 @@ class FrictionAsymmetry(Effect):
 
 
 class LoadDependentFriction(Effect):
-    """Tendon load presses the layers: φ + k (u₁ + u₂)."""
+    """Tendon load presses the layers: φ + k (u₁ + u₂) + k_d |u₁ − u₂|."""
 
     id, block, axes = "load_dependent_friction", "friction", ("load", "direction", "angle")
     gain: jax.Array = parameter("N·m/N", 0.0, 0.0, 20.0, 0.1)
+    of_net: jax.Array = parameter("N·m/N", 0.0, 0.0, 20.0, 0.1)
 
     def phi(self, memory, phi, now):
-        more = self.gain * (now.u[0] + now.u[1])
+        more = self.gain * (now.u[0] + now.u[1]) + self.of_net * jnp.abs(now.u[0] - now.u[1])
         return tuple(p + more for p in phi)
 
 

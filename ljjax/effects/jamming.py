@@ -6,22 +6,28 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import lagged, positive, turned
+from ljjax.effects.shapes import lagged, positive
+
+APART_KPA = 10.0
+"""The difference between line and sheath at which the sheath's time constants hold."""
 
 
 class PressureLag(Effect):
-    """Line and sheath fill slowly: τ Ṗ = P_line − P, with times of their own for more and for less vacuum."""
+    """Line and sheath fill slowly: τ Ṗ = P_line − P, with times of their own for more and for less vacuum, which go
+    with the difference Δ = |P_line − P| as (Δ/10 kPa)^p: p = 0 is a laminar line, p = ½ an orifice."""
 
     id, block, axes = "pressure_lag", "jamming", ("pressure", "time", "rate")
     fill_s: jax.Array = parameter("s", 0.0, 0.0, 10.0, 0.2)
     vent_s: jax.Array = parameter("s", 0.0, 0.0, 10.0, 0.2)
+    power: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.5, 0.0))
 
     def start(self, now):
         return (now.vacuum,)
 
     def evacuate(self, memory, vacuum, now):
         (held,) = memory
-        mean, end = lagged(vacuum, held, jnp.where(vacuum > held, self.fill_s, self.vent_s), now.h)
+        apart = jnp.exp(0.5 * self.power * jnp.log(((vacuum - held) / APART_KPA) ** 2 + 1e-4))
+        mean, end = lagged(vacuum, held, apart * jnp.where(vacuum > held, self.fill_s, self.vent_s), now.h)
         return mean, (end,)
 
 
@@ -85,26 +91,38 @@ class FrictionSaturation(Effect):
         return tuple(p + more for p in phi)
 
 
+WIDER = 4.0
+"""How much wider the second element of the layers' hysteresis is."""
+
+
 class LayerHysteresis(Effect):
-    """Interlayer slip with a memory longer than the bristles': the torque a φ w, ẇ = (v − |v| w)/x₀ (Bouc–Wen without
-    its linear part), |w| ≤ 1."""
+    """Interlayer slip with a memory longer than the bristles': elements that stick over x₀ and over 4 x₀ before they
+    slide (Jenkins' elements, a sum of plays), each with a torque of its own, a + b P."""
 
     id, block, axes = "layer_hysteresis", "jamming", ("direction", "angle", "pressure")
-    strength: jax.Array = parameter("1", 0.0, 0.0, 0.2, 0.002)
-    width_rad: jax.Array = shape("rad", 0.05, 0.005, 1.0, (0.015, 0.04, 0.12))
+    torque_nm: jax.Array = parameter("N·m", 0.0, 0.0, 5.0, 0.01)
+    per_kpa: jax.Array = parameter("N·m/kPa", 0.0, 0.0, 0.5, 0.001)
+    wider_nm: jax.Array = parameter("N·m", 0.0, 0.0, 5.0, 0.01)
+    wider_per_kpa: jax.Array = parameter("N·m/kPa", 0.0, 0.0, 0.5, 0.001)
+    width_rad: jax.Array = shape("rad", 0.03, 0.003, 1.0, (0.01, 0.03, 0.09))
+
+    def _stuck(self, memory, moved):
+        """How far each element of each joint is strained, from −1 to 1, after the joints moved so far."""
+        return tuple(
+            tuple(jnp.clip(w + x / width, -1.0, 1.0) for w, x in zip(own, moved, strict=True))
+            for own, width in zip(memory, (self.width_rad, WIDER * self.width_rad), strict=True)
+        )
 
     def start(self, now):
-        return tuple(0.0 * q for q in now.q)
+        return (tuple(0.0 * q for q in now.q),) * 2
 
     def load(self, memory, load, now):
-        out = []
-        for t, w, p, q, middle in zip(load, memory, now.phi, now.q, now.middle, strict=True):
-            x = (middle - q) / self.width_rad
-            out.append(t - self.strength * p * (w + x) / (1 + jnp.abs(x)))
-        return tuple(out)
+        near, wide = self._stuck(memory, [b - a for a, b in zip(now.q, now.middle, strict=True)])
+        most = self.torque_nm + self.per_kpa * now.vacuum, self.wider_nm + self.wider_per_kpa * now.vacuum
+        return tuple(t - most[0] * a - most[1] * b for t, a, b in zip(load, near, wide, strict=True))
 
     def remember(self, memory, now, after):
-        return tuple(turned(w, b - a, self.width_rad) for w, a, b in zip(memory, now.q, after.q, strict=True))
+        return self._stuck(memory, [b - a for a, b in zip(now.q, after.q, strict=True)])
 
 
 class LayerWear(Effect):

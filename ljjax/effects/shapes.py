@@ -19,6 +19,13 @@ def positive(x: Array) -> Array:
     return jnp.where(x > 0, x, 0.0 * x)
 
 
+def bounded(x: Array, limit: Array, edge: Array) -> Array:
+    """x₊ (1 + (x/limit)^edge)^(−1/edge): x below the limit and the limit beyond it, the sharper the larger the edge."""
+    some = x > 0
+    over = jnp.log(jnp.where(some, x, 1.0 + 0.0 * x) / limit)
+    return jnp.where(some, x * jnp.exp(-jnp.logaddexp(0.0 * over, edge * over) / edge), 0.0 * x)
+
+
 def lagged(x: Array, held: Array, tau: Array, h: Array) -> tuple[Array, Array]:
     """Mean over a step of h [s] and value at its end of τẏ = x − y, y = `held` at its start, x constant."""
     slow = tau > SHORT_S

@@ -12,23 +12,36 @@ from ljjax.effects.shapes import along, lagged, positive
 GRAVITY = 9.80665
 
 
+SLOWER = 8.0
+"""How much slower the second branch of the creep is."""
+
+
 class ViscoelasticCreep(Effect):
-    """Backbone and sheath relax: a Maxwell branch k (q − x), τẋ = q − x, beside the elasticity."""
+    """Backbone and sheath relax: a Maxwell branch k (q − x), τẋ = q − x, beside the elasticity, and one of 8 τ."""
 
     id, block, axes = "viscoelastic_creep", "structure", ("time", "rate", "angle")
     stiffness: jax.Array = parameter("N·m/rad", 0.0, 0.0, 50.0, 0.3)
+    slower: jax.Array = parameter("N·m/rad", 0.0, 0.0, 50.0, 0.3)
     tau_s: jax.Array = shape("s", 2.0, 0.02, 200.0, (0.25, 1.5, 8.0))
 
+    def _branches(self):
+        return (self.stiffness, self.tau_s), (self.slower, SLOWER * self.tau_s)
+
     def start(self, now):
-        return tuple(now.q)
+        return tuple(now.q), tuple(now.q)
 
     def load(self, memory, load, now):
-        slow = self.stiffness / (1 + 0.5 * now.h / self.tau_s)
-        return tuple(t - slow * (q - x) for t, q, x in zip(load, now.middle, memory, strict=True))
+        for (stiffness, tau), held in zip(self._branches(), memory, strict=True):
+            slow = stiffness / (1 + 0.5 * now.h / tau)
+            load = tuple(t - slow * (q - x) for t, q, x in zip(load, now.middle, held, strict=True))
+        return load
 
     def remember(self, memory, now, after):
         middles = [0.5 * (a + b) for a, b in zip(now.q, after.q, strict=True)]
-        return tuple(lagged(q, x, self.tau_s, now.h)[1] for q, x in zip(middles, memory, strict=True))
+        return tuple(
+            tuple(lagged(q, x, tau, now.h)[1] for q, x in zip(middles, held, strict=True))
+            for (_, tau), held in zip(self._branches(), memory, strict=True)
+        )
 
 
 RATE_RAD_S, BEND_RAD = 0.3, 0.1
@@ -105,14 +118,17 @@ def _ends(now: Now) -> tuple[Vector, Vector]:
 
 
 class TipPayload(Effect):
-    """An unmodelled mass at the tip of a body that hangs: its gravity m g (x_tip − x_i) and its inertia."""
+    """An unmodelled mass m at the tip of a body that hangs: its gravity m g (x_tip − x_i) and its inertia; where it
+    sits beside the axis by e, also the moment m e g cos ψ."""
 
     id, block, axes = "tip_payload", "structure", ("angle", "rate", "everywhere")
     mass_kg: jax.Array = parameter("kg", 0.0, 0.0, 5.0, 0.02)
+    aside_kg_m: jax.Array = parameter("kg·m", 0.0, -0.2, 0.2, 0.0005)
 
     def load(self, memory, load, now):
         across, _ = _ends(now)
-        return tuple(x - self.mass_kg * GRAVITY * a for x, a in zip(load, across, strict=True))
+        aside = self.aside_kg_m * now.cos[-1]
+        return tuple(x - GRAVITY * (self.mass_kg * a + aside) for x, a in zip(load, across, strict=True))
 
     def inertia(self, m, now):
         across, along = _ends(now)
@@ -124,21 +140,25 @@ class TipPayload(Effect):
 
 class GravityDistribution(Effect):
     """Weight acts along the hanging body, not as one cosine: U = Σ m g hᵢ(q), from links of the weight w (the last of
-    half of it), beside α₁, which is fitted too."""
+    half of it), more of it towards one end by w₁, beside α₁, which is fitted too."""
 
     id, block, axes = "gravity_distribution", "structure", ("angle", "segment")
     link_weight_n: jax.Array = parameter("N", 0.0, -5.0, 20.0, 0.2)
+    mode1: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.1)
 
     def load(self, memory, load, now):
         n = len(now.middle)
         length = now.model.chain.half_length_m
+        none = 0.0 * self.mode1
+        weights = [self.link_weight_n + x for x in along((self.mode1, none, none, none, none), n)]
         out = list(load)
-        beyond, moment = 0.0, 0.0 * now.sin[0]
+        beyond, moment = none, 0.0 * now.sin[0]
         for k in range(n - 1, -1, -1):
             own, reach = (1.0, 2.0) if k < n - 1 else (0.5, 1.0)
-            moment = moment + (own * 0.5 + beyond) * reach * length * now.sin[k]
-            beyond += own
-            out[k] = out[k] - self.link_weight_n * moment
+            weight = own * weights[k]
+            moment = moment + (0.5 * weight + beyond) * reach * length * now.sin[k]
+            beyond = beyond + weight
+            out[k] = out[k] - moment
         return tuple(out)
 
 
