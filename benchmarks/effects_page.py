@@ -43,7 +43,7 @@ SIZE = {
     "actuator_delay": 0.15, "actuator_lag": 0.15, "sensor_delay": 0.15, "sensor_filter": 0.15, "pressure_lag": 0.5,
     "tendon_slack": 3.0, "actuator_deadband": 1.0, "tip_payload": 0.3, "viscous_damping": 0.5, "layer_wear": 0.8,
     "friction_asymmetry": 0.6, "load_dependent_friction": 1.0, "tendon_friction": 0.8, "viscoelastic_creep": 2.0,
-    "stiffness_hardening": 60.0, "layer_hysteresis": 0.02, "contact": 10.0, "pressure_leak": 0.7,
+    "stiffness_hardening": 60.0, "layer_hysteresis": 0.1, "contact": 10.0, "pressure_leak": 0.7,
     "gravity_distribution": 1.5,
     "friction_saturation": 12.0, "stiffness_saturation": 2.0, "pressure_bias": 4.0, "actuator_ripple": 2.0,
     "thermal_drift": -0.06, "nonuniform_stiffness": 0.6,

@@ -45,7 +45,7 @@ class ActuatorGain(Effect):
 
 
 class ActuatorSaturation(Effect):
-    """A share s of each tension stays below a limit L, the edge smooth or sharp: T (1 − s) + s T (1 + (T/L)^p)^(−1/p)."""
+    """A share s of each tension stays below a limit L, its edge sharp or smooth: T − s T (1 − (1 + (T/L)^p)^(−1/p))."""
 
     id, block, axes = "actuator_saturation", "actuation", ("load", "angle")
     share: jax.Array = parameter("1", 0.0, 0.0, 1.0, 0.5)
