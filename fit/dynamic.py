@@ -47,6 +47,8 @@ FAR = 0.25
 """A step goes no further than this share of a coordinate's spread: parameters change by a factor of 2 at most."""
 HUBER = 4.0
 """Residuals beyond this many standard deviations count linearly."""
+EXPLODED = 1e12
+"""Derivatives [rad] beyond which a motion counts as one that does not simulate."""
 LAGS = 30
 """Lags that are summed one by one; where residuals hang together over many more, samples are added up first."""
 
@@ -284,6 +286,9 @@ class Search:
         return np.concatenate(r), np.concatenate(j)
 
     def _chi2(self, point: _Point, scale: _Scale) -> float:
+        """Weighted squares; ∞ where the motion or its derivatives are beyond what numbers hold."""
+        if not np.all(np.abs(point.answer.jacobian) < EXPLODED):
+            return float("inf")
         error = (self.windows.y - point.answer.predicted) / scale.sigma
         rows, _ = self._rows(point, scale)
         out = np.sum(scale.weight * error**2) + rows @ rows + np.sum((point.offset / self.offset_sd) ** 2)

@@ -23,7 +23,7 @@ LEADERS, FEW, SECOND, MOST = 12, 4, 5, 3
 before, and how many are found at most."""
 HEARD = 3
 """How many effects that measured inputs show are begun as they show there."""
-FURTHER, PAIRS = 0.08, 0.25
+FURTHER, PAIRS = 0.12, 0.25
 """Shares of the gap, left by one effect, from which a further one is looked for, and from which pairs of others are."""
 
 
@@ -86,7 +86,7 @@ class Inquiry:
         self.excess = self.base.total - self.floor
         self.found = self._forward(self._leaders())
         self.gained = {i: self.base.total - r.total for i, r in self.found.single.items()}
-        self.one = self.unit * max(self.excess, 1e-9)
+        self.one = self.unit * self.gap
         self.null = self.screen.null(setting.rng) * self.one
         self.evidence = self._evidence()
         self.probability = judge.probabilities(self.evidence)
@@ -195,9 +195,14 @@ class Inquiry:
 
     # --- what it says
 
+    @property
+    def gap(self) -> float:
+        """The excess of which leftovers are shares; where there is none, a thousandth of the floor."""
+        return max(self.excess, 1e-3 * self.floor)
+
     def own_left(self, refit: Refit) -> float:
         """The share of the shape's gap that a refit leaves."""
-        return float((refit.total - self.floor) / max(self.excess, 1e-9))
+        return float((refit.total - self.floor) / self.gap)
 
     def left(self, refit: Refit) -> float:
         """The share of the gap a refit leaves, the measured inputs' own gap among it."""
@@ -211,7 +216,7 @@ class Inquiry:
         return self._unit(self.found.best)
 
     def _unit(self, refit: Refit) -> float:
-        return self._variance(refit) / max(self.excess, 1e-9)
+        return self._variance(refit) / self.gap
 
     def _variance(self, refit: Refit) -> float:
         """The variance that a refit leaves, its colour counted: the loss that a χ² of 1 stands for."""
@@ -223,7 +228,7 @@ class Inquiry:
         left = {i: self.left(r) for i, r in found.single.items()}
         for i in screen.ids:
             if i not in left:  # not refitted: what the Jacobian promises, at best
-                promised = 1 - screen.gains[screen.best(i)] / max(self.excess, 1e-9)
+                promised = 1 - screen.gains[screen.best(i)] / self.gap
                 left[i] = max(measured.joined(promised, ()), 0.35)
         size = {i: found.single[i].trial.size if i in found.single else 1 for i in left}
         if len(found.best.ids) > 1:

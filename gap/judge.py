@@ -2,7 +2,8 @@
 
 Two things part candidates. Chance: a gain must exceed the largest one that any candidate makes of data without an
 effect. And form: no effect has quite the form it has here, so that even the true cause leaves a share of the gap; what
-it leaves is taken to be spread as 1/share^`SHARPNESS`, whatever the number of samples.
+it leaves is taken to be spread as 1/share^`SHARPNESS`, whatever the number of samples. Whatever the data say, a share
+`UNFORESEEN` stays with what nobody has thought of.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-SHARPNESS = 6.0
-LEAVES = 0.25
+SHARPNESS = 5.0
+LEAVES = 0.3
 """The share of a gap that an effect outside the library is taken to leave by the best one inside it."""
+UNFORESEEN = 0.05
 SIMPLER = 1.2
 """Odds for one parameter less, where two effects leave as much."""
 NONE = 8.0
@@ -67,7 +69,8 @@ def probabilities(e: Evidence) -> dict[str, float]:
     total = sum(weight.values())
     rest = 1 - sum(out.values())
     for i, w in weight.items():
-        out[i] += rest * w / total
+        surprise = 0.5 if i == "unlisted_effect" else 0.5 / max(len(weight) - 1, 1)
+        out[i] += rest * ((1 - UNFORESEEN) * w / total + UNFORESEEN * surprise)
     return out
 
 
@@ -94,8 +97,8 @@ def equivalents(left: Mapping[str, float], main: str, unit: float) -> list[str]:
 
 
 def pairs_worth(first: float, second: float, unit: float) -> bool:
-    """Whether a further effect is worth having: it takes half of what is left, and a share of the gap that matters."""
-    return first - second > max(0.5 * first, 0.05, 15 * unit)
+    """Whether a further effect is worth having: it takes most of what is left, and a share of the gap that matters."""
+    return first - second > max(0.6 * first, 0.1, 15 * unit)
 
 
 def closed(before: float, after: float, floor: float) -> float | None:

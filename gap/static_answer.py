@@ -187,7 +187,7 @@ def _finding(found: Found, effect: str, probability: float) -> Finding:
     x = found.x if chosen else c.x
     sds = _sds(found) if chosen else {}
     parameters = {}
-    for name in found.laws.of(effect):
+    for name in (*found.laws.of(effect, "size"), *found.laws.of(effect, "form")):
         if name in c.active or chosen and name in found.active:
             sd = sds.get(name, float("nan"))
             parameters[name.split(".")[-1]] = {

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -155,12 +155,12 @@ class Laws:
         """Places of the named parameters."""
         return np.array([self.names.index(n) for n in names], int)
 
-    def of(self, effect: str, part: str = "all") -> list[str]:
-        """Paths of an effect's parameters: `all`, those that say how large it is (`size`), or what form it has."""
-        kind = self.kinds[effect]
-        chosen = {"all": list(kind.fields()), "size": list(kind.sizes())}
-        chosen["form"] = [n for n in chosen["all"] if n not in chosen["size"]]
-        return [f"effects.{effect}.{n}" for n in chosen[part]]
+    def of(self, effect: str, part: Literal["size", "form"]) -> list[str]:
+        """Paths of an effect's parameters that say how large it is, or what form it has: the first of these only, since
+        a few points at rest do not show how sharp an edge is."""
+        sizes = self.kinds[effect].sizes()
+        names = sizes if part == "size" else [n for n in self.kinds[effect].fields() if n not in sizes][:1]
+        return [f"effects.{effect}.{n}" for n in names]
 
     def values(self, x: np.ndarray, points: Points) -> np.ndarray:
         """(…, N) what robots with the parameters x (…, P) do at the points: net tension [N] or tip stiffness [N/m]."""

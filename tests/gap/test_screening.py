@@ -33,11 +33,12 @@ def test_a_ripple_is_found_among_waves_of_any_length(true):
     assert min(abs(w - true) for w in found) < 1.0
     assert found == sorted(found) and len(found) <= 4
     kind = REGISTRY["actuator_ripple"]
-    forms = pilots(kind, {"": 1.0}, found)
+    span = {"": 1.0, "tension": 20.0}
+    forms = pilots(kind, span, found)
     assert sorted({form["waves"] for form in forms}) == found
-    stretches = kind.fields()["stretch"]["pilots"]
-    assert len(forms) == len(found) + len(stretches) - 1  # one at a time, the middle of both once
-    guessed = pilots(kind, {"": 1.0})
+    others = [len(about["pilots"]) - 1 for name, about in kind.fields().items() if about["pilots"] and name != "waves"]
+    assert len(forms) == len(found) + sum(others)  # one at a time, the middle of all once
+    guessed = pilots(kind, span)
     assert {form["waves"] for form in guessed} == set(kind.fields()["waves"]["pilots"])
 
 
