@@ -27,8 +27,9 @@ STEP_S, ITERATIONS, STEP = 0.005, 20, 1e-4
 SPEAKS = 1.3
 """A channel speaks if its RMS distance from the command is so many times its noise, and an effect explains some."""
 EXPLAINS = 0.3
-WEIGHT = 0.5
-"""How much a channel that confirms an effect counts beside the shape."""
+MATTERS, UNTOLD, BESIDE = 0.5, 3.0, 0.02
+"""A channel is heard if an effect that agrees with it leaves less than this share of the shape's gap; what does not
+explain that channel then counts as if it left so many times more, and so much more at least."""
 AGREES, CONTRADICTS, AGAINST = 0.5, 1.3, 0.3
 """A channel confirms an effect that leaves less than this share of its distance from the command, and contradicts one
 that puts it further off by this factor; that counts as so much of the gap left."""
@@ -152,17 +153,19 @@ class Measured:
     def listen(self, left: float, fitted: Sequence[Fitted]) -> None:
         """Note the channels that confirm effects which leave such a share of the shape's gap."""
         for c in self.channels:
-            rms = c.rms_with(fitted)
-            if c.speaks and rms is not None and c.leaves(rms) < AGREES and left < 0.9:
-                self.heard.add(c.name)
+            if c.speaks and left < MATTERS:
+                rms = c.rms_with(fitted)
+                if rms is not None and c.leaves(rms) < AGREES:
+                    self.heard.add(c.name)
 
     def joined(self, left: float, fitted: Sequence[Fitted]) -> float:
-        """The share left of the shape's gap and of those of the channels that are heard, together."""
+        """The share left of the shape's gap, and what channels that are heard or contradicted add to it."""
         out = left
         for c in self.channels:
             rms = c.rms_with(fitted)
             if c.name in self.heard:
-                out = (1 - WEIGHT) * out + WEIGHT * (1.0 if rms is None else min(c.leaves(rms), 1.0))
+                untold = 1.0 if rms is None else min(c.leaves(rms), 1.0)
+                out += UNTOLD * untold * (max(left, 0.0) + BESIDE)
             if c.name == "tension" and rms is not None and rms > CONTRADICTS * max(c.rms, c.noise):
                 out += AGAINST
         return out

@@ -17,7 +17,7 @@ SHARPNESS = 5.0
 LEAVES = 0.3
 """The share of a gap that an effect outside the library is taken to leave by the best one inside it."""
 UNFORESEEN = 0.05
-SIMPLER = 1.2
+SIMPLER = 1.5
 """Odds for one parameter less, where two effects leave as much."""
 NONE = 8.0
 """Odds before looking that no effect is there: a gain that chance makes once in a hundred leaves them even."""

@@ -11,7 +11,7 @@ import pytest
 
 from ljjax.effects import REGISTRY
 from ljjax.gap.candidates import pilots, sizes
-from ljjax.gap.channels import Channel, Fitted
+from ljjax.gap.channels import Channel, Fitted, Measured
 from ljjax.gap.screening import waves
 
 
@@ -71,6 +71,23 @@ def test_a_measured_tension_takes_an_effect_within_the_shapes_doubt():
     assert 0.9 * apart < off(1e-4) < apart  # no further than a part of its typical size
     assert off(np.nan) == off(0.0)
     assert channel.rms_with([]) is None
+
+
+def test_a_channel_is_heard_where_what_it_shows_matters_to_the_shape():
+    """A lag in the measured tension, real but far too small for the shape's gap, and one that causes it."""
+    kind: Any = REGISTRY["actuator_lag"]
+
+    def error(_, x: np.ndarray) -> np.ndarray:
+        return (x.sum(axis=1, keepdims=True) - 0.02) * np.linspace(1.0, 5.0, 50) / 0.02
+
+    channel = Channel("tension", 3.0, 0.01, {"actuator_lag": 0.0}, {}, error, np.ones(50, bool))
+    lag = [Fitted(kind(tau_s=0.02, second_s=0.0), ["tau_s"], np.array([[1e-8]]))]
+    for left, heard in ((0.85, False), (0.1, True)):
+        measured = Measured([channel])
+        measured.listen(left, lag)
+        assert bool(measured.heard) == heard
+        assert measured.joined(left, lag) == pytest.approx(left, abs=1e-3)
+        assert (measured.joined(0.05, []) > 0.15) == heard  # by something else, that leaves as little of the shape
 
 
 def test_what_the_shape_knows_of_two_parameters_together_holds():
