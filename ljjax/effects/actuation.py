@@ -127,13 +127,14 @@ TURN_RAD = 0.01
 
 
 class TendonFriction(Effect):
-    """Friction along the routing: joint k feels T exp(∓(μ Σ_{j ≤ k}|q_j| + ν k)), less in the tendon pulled in, more in
-    the one paid out, from bends (capstan) and from the guides passed; and a drag that the load does not change. At rest
-    it fades, in TURN_RAD over the rate that counts as rest."""
+    """Friction along the routing: joint k feels T exp(∓(ε + μ Σ_{j ≤ k}|q_j| + ν k)), less in the tendon pulled in,
+    more in the one paid out, from the entry, from bends (capstan), from guides; and a drag whatever the load.
+    At rest it fades, in TURN_RAD over the rate that counts as rest."""
 
     id, block, axes = "tendon_friction", "actuation", ("direction", "angle", "load")
     mu: jax.Array = parameter("1/rad", 0.0, 0.0, 6.0, 0.2)
     guide: jax.Array = parameter("1", 0.0, 0.0, 0.5, 0.02)
+    entry: jax.Array = parameter("1", 0.0, 0.0, 0.9, 0.03)
     drag_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.3)
     still_rad_s: jax.Array = shape("rad/s", 0.02, 1e-4, 10.0, (1e-3, 0.03, 0.3))
 
@@ -145,7 +146,7 @@ class TendonFriction(Effect):
         out, wrapped = [], 0.0 * now.q[0]
         for i, q in enumerate(now.middle):
             wrapped = wrapped + jnp.abs(q)
-            e = (self.mu * wrapped + self.guide * (i + 1.0)) * way
+            e = (self.entry + self.mu * wrapped + self.guide * (i + 1.0)) * way
             lost = now.u[0] * jnp.expm1(-e) - now.u[1] * jnp.expm1(e) - self.drag_n * way
             out.append(load[i] + arm(now) * lost)
         return tuple(out)
