@@ -410,6 +410,12 @@ class Search:
         """Evaluate at x (k,), without a search."""
         self.point = yield from self._evaluate(x, self.start_offset, None)
 
+    def settle(self, x: np.ndarray) -> Asking[None]:
+        """Evaluate at x (k,) with the starting angles at their best, to first order."""
+        point = yield from self._evaluate(x, self.start_offset, None)
+        _, _, (own, _, pull) = self._normal(point, self._scale(point))
+        self.point = yield from self._evaluate(x, point.offset + pull / own, None)
+
     def gradient(self, x: np.ndarray) -> Asking[np.ndarray]:
         """(k,) gradient of ½χ² per sample at x, the starting angles at their best to first order."""
         point = yield from self._evaluate(x, self.start_offset, None)

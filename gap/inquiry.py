@@ -96,7 +96,7 @@ class Inquiry:
     def _given(self) -> Refit:
         study = self.setting.study
         like = Refit(Trial(), replace(self.base.estimate, model=study.start), self.base.loss)
-        (seen,) = study.predict([like], self.setting.train)
+        (seen,) = study.predict([like], self.setting.train, settle=True)
         return Refit(Trial(), seen, study.loss(seen))
 
     # --- the search
@@ -242,6 +242,7 @@ class Inquiry:
                     left[i] = left[i] / max(least_alone, 1e-9) * max(least_alone, 0.5)
         chance = judge.chance(self.null, max(self.gained.values(), default=0.0), self.one)
         count = len(self.setting.study.names)
-        worse = (self.given.total - self.base.total) / max(self._variance(self.base), 1e-12)
-        as_given = worse < count + 4 * np.sqrt(2 * count) or self.given.total < 1.01 * self.base.total
+        more = self.given.total - self.base.total
+        worse = more / max(self._variance(self.base), 1e-12)
+        as_given = worse < count + 4 * np.sqrt(2 * count) or more < judge.MATTERS * self.floor
         return judge.Evidence(self.excess / max(self.floor, 1e-9), left, size, self.unit, chance, bool(as_given))

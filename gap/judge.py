@@ -24,6 +24,8 @@ NONE = 8.0
 MATTERS, OPEN = 0.02, 0.21
 """A gap below this share of the noise's variance is none; above the second one, a tenth in RMS, it is one that chance
 does not make, whether or not a candidate explains any of it."""
+FLOOR = 0.04
+"""Relative standard deviation of the noise's variance as differences of samples tell it."""
 ALIKE = 1.25
 """Candidates whose leftovers are within this factor cannot be told apart."""
 
@@ -109,10 +111,17 @@ def closed(before: float, after: float, floor: float) -> float | None:
 def interval(
     before: np.ndarray, after: np.ndarray, floor: np.ndarray, picked: int, rng: np.random.Generator, draws: int = 4000
 ) -> tuple[float, float] | None:
-    """95 % interval of the closed fraction on `picked` runs, from the squared errors (R,) of all runs."""
+    """95 % interval of the closed fraction on `picked` runs that no fit has seen, from the squared errors (R,) of all
+    runs, the last `picked` of them unseen: what fitted runs keep is raised to what unseen ones do on average, and the
+    floor is known to `FLOOR` of itself."""
+    fitted = np.arange(len(before)) < len(before) - max(picked, 1)
+    kept = after - floor
+    if fitted.any():
+        kept = np.where(fitted, kept + max(kept[~fitted].mean() - kept[fitted].mean(), 0.0), kept)
     index = rng.integers(0, len(before), (draws, max(picked, 1)))
-    gap = (before - floor)[index].sum(axis=1)
-    left = (after - floor)[index].sum(axis=1)
+    doubt = FLOOR * rng.standard_normal(draws) * floor.mean() * max(picked, 1)
+    gap = (before - floor)[index].sum(axis=1) - doubt
+    left = kept[index].sum(axis=1) - doubt
     good = gap > 0
     if good.sum() < draws // 2:
         return None

@@ -233,8 +233,8 @@ class Study:
     def _free(self, effect: str, refit: Refit) -> list[str]:
         return [p.split(".")[2] for p in refit.trial.start if p.split(".")[1] == effect]
 
-    def predict(self, refits: Sequence[Refit], motions: Sequence[Motion]) -> list[Estimate]:
-        """What refits say of other runs, without fitting anything to them."""
+    def predict(self, refits: Sequence[Refit], motions: Sequence[Motion], settle: bool = False) -> list[Estimate]:
+        """What refits say of other runs, without fitting anything to them but, if asked for, where each run starts."""
         asked = []
         for r in refits:
             c = r.estimate.problem.coordinates
@@ -244,7 +244,8 @@ class Study:
                         Problem(Coordinates(self._whole(r.model), c.names, self.pressure), motions),
                         cut(motions, QUICK.step_s),
                         QUICK,
-                    )
+                    ),
+                    settle,
                 )
             )
         found = together(asked, self._tell("unseen runs"))
@@ -283,8 +284,8 @@ def _chord(problem: Problem, x: np.ndarray, iterations: int, borrowed: np.ndarra
     return dataclasses.replace(search.result(history), converged=False)
 
 
-def _seen(search: Search) -> Asking[Estimate]:
-    yield from search.look(search.problem.coordinates.start)
+def _seen(search: Search, settle: bool) -> Asking[Estimate]:
+    yield from (search.settle if settle else search.look)(search.problem.coordinates.start)
     return search.result([])
 
 

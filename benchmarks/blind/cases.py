@@ -52,7 +52,7 @@ class Case:
         if self.kind != "without":
             return []
         deleted = set().union(*(confusable(cause, False, False) for cause in self.causes))
-        return [x for cause in sorted(deleted) for x in ("--without", cause)]
+        return ["--without", *sorted(deleted)]
 
 
 def catalogue(seed: int, kinds: tuple[str, ...] = KINDS, count: int | None = None) -> list[Case]:

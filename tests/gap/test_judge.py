@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from ljjax.gap import judge
 from ljjax.gap.judge import Evidence
 
@@ -30,3 +32,13 @@ def test_the_share_left_parts_listed_from_unlisted():
     p = [judge.probabilities(evidence({"contact": x}))["unlisted_effect"] for x in (0.02, 0.1, 0.3, 0.6)]
     assert p == sorted(p)
     assert p[0] < judge.UNFORESEEN and p[-1] > 0.9
+
+
+def test_the_interval_is_of_runs_that_no_fit_has_seen():
+    """Six fitted runs down to the noise, and two unseen ones that keep a tenth of the gap."""
+    before, floor = np.full(8, 17.0), np.ones(8)
+    after = np.r_[np.full(6, 1.0), 2.5, 2.7]
+    low, high = judge.interval(before, after, floor, 2, np.random.default_rng(0)) or (1.0, 1.0)
+    assert low < 1 - 1.6 / 16 < high < 0.95
+    low, high = judge.interval(before, np.ones(8), floor, 2, np.random.default_rng(0)) or (1.0, 1.0)
+    assert low < 1.0 < high  # the floor itself is not known exactly
