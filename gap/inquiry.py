@@ -242,7 +242,6 @@ class Inquiry:
                     left[i] = left[i] / max(least_alone, 1e-9) * max(least_alone, 0.5)
         chance = judge.chance(self.null, max(self.gained.values(), default=0.0), self.one)
         count = len(self.setting.study.names)
-        more = self.given.total - self.base.total
-        worse = more / max(self._variance(self.base), 1e-12)
-        as_given = worse < count + 4 * np.sqrt(2 * count) or more < judge.MATTERS * self.floor
+        worse = (self.given.total - self.base.total) / max(self._variance(self.base), 1e-12)
+        as_given = worse < count + 4 * np.sqrt(2 * count) or self.given.total < 1.01 * self.base.total
         return judge.Evidence(self.excess / max(self.floor, 1e-9), left, size, self.unit, chance, bool(as_given))

@@ -17,6 +17,7 @@ SHARPNESS = 5.0
 LEAVES = 0.3
 """The share of a gap that an effect outside the library is taken to leave by the best one inside it."""
 UNFORESEEN = 0.05
+"""Chosen by hand, as the figures beside it are."""
 SIMPLER = 1.5
 """Odds for one parameter less, where two effects leave as much."""
 NONE = 8.0
@@ -25,7 +26,7 @@ MATTERS, OPEN = 0.02, 0.21
 """A gap below this share of the noise's variance is none; above the second one, a tenth in RMS, it is one that chance
 does not make, whether or not a candidate explains any of it."""
 FLOOR = 0.04
-"""Relative standard deviation of the noise's variance as differences of samples tell it."""
+"""Relative standard deviation that the noise's variance is taken to have; chosen by hand."""
 ALIKE = 1.25
 """Candidates whose leftovers are within this factor cannot be told apart."""
 
