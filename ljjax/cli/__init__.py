@@ -12,7 +12,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from ljjax.errors import InputError, SolverError
 
@@ -121,13 +121,36 @@ def _parse(name: str, args: Sequence[str]):
             bound = tyro.cli(
                 tyro.conf.configure(tyro.conf.AvoidSubcommands)(_bind(command)),
                 prog=f"ljjax {name}",
-                args=args,
+                args=_gathered(name, command, args),
             )
     except SystemExit as stop:
         if not stop.code:
             return None
         raise InputError(f"{name}: {_one_line(said.getvalue())} (ljjax {name} --help)") from None
     return bound
+
+
+def _gathered(name: str, command: Callable, args: Sequence[str]) -> list[str]:
+    """The arguments with what an option of several values is given a second time added to the first, where the parser
+    would forget that one; an option of one value given twice is an InputError."""
+    import tyro
+
+    hints = get_type_hints(command, include_extras=True)
+    groups: dict[str | int, list[str]] = {"": []}
+    words = groups[""]
+    for arg in args:
+        if not (arg.startswith("--") and len(arg) > 2):
+            words.append(arg)
+            continue
+        option, *value = arg.split("=", 1)
+        hint = hints.get(option[2:].replace("-", "_"))
+        kind, *about = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        key = len(groups) if hint is None or tyro.conf.UseAppendAction in about else option
+        if key in groups and get_origin(kind) is not tuple:
+            raise InputError(f"{name}: {option} is given twice; give it once")
+        words = groups.setdefault(key, [option])
+        words += value
+    return [word for group in groups.values() for word in group]
 
 
 def _bind(command):

@@ -14,8 +14,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ljjax.cli import COMMANDS, main
+from ljjax.cli import COMMANDS, _parse, main
 from ljjax.data import OCTROBOT
+from ljjax.errors import InputError
 from ljjax.logs import Writer, read
 from ljjax.logs.contract import JOINT_STATE, SCHEMAS
 from ljjax.model import Model
@@ -269,6 +270,15 @@ def test_simulate(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     np.testing.assert_allclose(real.value - sim.value, residual.value, atol=1e-15)
     assert sim.columns == ("theta",) and abs(sim.value[0, 0] - 0.05) < 1e-3 < abs(sim.value[-1, 0] - 0.05)
     assert list(tmp_path.iterdir()) == [out]
+
+
+def test_an_option_of_several_values_given_again_loses_none():
+    bound = _parse("gap", ["run.mcap", "--without", "contact", "--out", "o", "--without=base_tilt", "tip_payload"])
+    assert bound is not None
+    heard = dict(zip(("logs", "out"), bound.args, strict=False)) | bound.keywords
+    assert heard["without"] == ("contact", "base_tilt", "tip_payload") and heard["logs"] == ("run.mcap",)
+    with pytest.raises(InputError, match="--seed is given twice"):
+        _parse("gap", ["run.mcap", "--out", "o", "--seed", "1", "--seed", "2"])
 
 
 def test_info(place: Path, capsys: pytest.CaptureFixture[str]):
