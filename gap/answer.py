@@ -50,6 +50,7 @@ def answer(inquiry: Inquiry) -> Diagnosis:
         runs=setting.runs,
         roles=[role_of(r, setting.train, setting.test) for r in setting.runs],
         said=setting.said,
+        evidence=inquiry.evidence,
         warnings=[*setting.warnings, *inquiry.measured.notes, *_warnings(inquiry)],
         seed=setting.seed,
         options=setting.options,

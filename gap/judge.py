@@ -2,8 +2,8 @@
 
 Two things part candidates. Chance: a gain must exceed the largest one that any candidate makes of data without an
 effect. And form: no effect has quite the form it has here, so that even the true cause leaves a share of the gap; what
-it leaves is taken to be spread as 1/share^`SHARPNESS`, whatever the number of samples. Whatever the data say, a share
-`UNFORESEEN` stays with what nobody has thought of.
+it leaves is taken to be spread as a power of 1/share, whatever the number of samples. Whatever the data say, something
+stays with what nobody has thought of. How much of each is in `Weights`.
 """
 
 from __future__ import annotations
@@ -13,13 +13,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-SHARPNESS = 5.0
-LEAVES = 0.3
-"""The share of a gap that an effect outside the library is taken to leave by the best one inside it."""
-UNFORESEEN = 0.05
-"""Chosen by hand, as the figures beside it are."""
-SIMPLER = 1.5
-"""Odds for one parameter less, where two effects leave as much."""
+
+@dataclass(frozen=True)
+class Weights:
+    """How what candidates leave becomes probabilities.
+
+    Attributes:
+        sharpness: power of 1/share.
+        leaves: share of a gap that an effect outside the library is taken to leave by the best one inside it.
+        unforeseen: what stays, whatever the data say, with what nobody has thought of.
+        simpler: odds for one parameter less, where two effects leave as much.
+    """
+
+    sharpness: float
+    leaves: float
+    unforeseen: float
+    simpler: float
+
+
+WEIGHTS = Weights(5.0, 0.3, 0.05, 1.5)
+"""Chosen by hand."""
 NONE = 8.0
 """Odds before looking that no effect is there: a gain that chance makes once in a hundred leaves them even."""
 MATTERS, OPEN = 0.02, 0.21
@@ -41,7 +54,7 @@ class Evidence:
         parameters: by effect, how many it took.
         unit: what a χ² of 1 is, as a share of the excess (the residuals' colour counted).
         chance: probability that data without an effect gain as much.
-        refitted: whether the given model explains the runs no worse than the refitted base does.
+        as_given: whether the given model explains the runs no worse than the refitted base does.
     """
 
     excess: float
@@ -52,7 +65,7 @@ class Evidence:
     as_given: bool
 
 
-def probabilities(e: Evidence) -> dict[str, float]:
+def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
     """Of every candidate, `no_gap`, `parameters_only` and `unlisted_effect`; they sum to 1."""
     out = dict.fromkeys((*e.left, "no_gap", "parameters_only", "unlisted_effect"), 0.0)
     p = min(max(e.chance, 1e-12), 1 / np.e)
@@ -65,15 +78,15 @@ def probabilities(e: Evidence) -> dict[str, float]:
     out["no_gap" if e.as_given else "parameters_only"] = none
     blur = 0.004 + 8 * e.unit
     weight = {
-        i: SIMPLER ** -e.parameters[i] * (max(left, 0.0) + blur + 2 * e.unit * e.parameters[i]) ** -SHARPNESS
+        i: by.simpler ** -e.parameters[i] * (max(left, 0.0) + blur + 2 * e.unit * e.parameters[i]) ** -by.sharpness
         for i, left in e.left.items()
     }
-    weight["unlisted_effect"] = 0.5 / SIMPLER * (LEAVES + blur) ** -SHARPNESS
+    weight["unlisted_effect"] = 0.5 / by.simpler * (by.leaves + blur) ** -by.sharpness
     total = sum(weight.values())
     rest = 1 - sum(out.values())
     for i, w in weight.items():
         surprise = 0.5 if i == "unlisted_effect" else 0.5 / max(len(weight) - 1, 1)
-        out[i] += rest * ((1 - UNFORESEEN) * w / total + UNFORESEEN * surprise)
+        out[i] += rest * ((1 - by.unforeseen) * w / total + by.unforeseen * surprise)
     return out
 
 

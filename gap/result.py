@@ -11,6 +11,7 @@ from typing import Any
 
 from ljjax import modelfile
 from ljjax.fit.record import plain
+from ljjax.gap.judge import Evidence
 from ljjax.gap.layout import layout
 from ljjax.logs import Run, Signal, copy_overlay
 from ljjax.modelfile import ModelFile
@@ -93,6 +94,7 @@ class Diagnosis:
         base, model: the base refitted, without and with the selected effects.
         runs, roles: the logs, and `train` or `held_out` for each.
         said, warnings: what each log gave; what a reader must know.
+        evidence: what the probabilities of moving runs rest on; None for steady ones.
         seed, options: what was asked for.
         story: what the report draws, by name; its pictures look for what they know.
     """
@@ -115,6 +117,7 @@ class Diagnosis:
     options: Mapping[str, Any]
     story: Any
     overlays: Sequence[Mapping[str, Mapping[str, Signal]]]
+    evidence: Evidence | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """The content of gap.json."""
@@ -136,6 +139,7 @@ class Diagnosis:
                 ],
                 "version": version("ljjax"),
                 "seed": self.seed,
+                "evidence": None if self.evidence is None else vars(self.evidence),
                 "options": dict(self.options),
                 "said": list(self.said),
                 "warnings": list(self.warnings),

@@ -57,6 +57,7 @@ def judge(label: Mapping[str, Any], answer: Mapping[str, Any] | None, errors: Se
         "equivalent": [sorted(x) for x in sets],
         "block": where.get("block"),
         "axis": where.get("axis"),
+        "right": sorted(right),
         "top_right": top[0] in right,
         "brier": _brier(ranked, right),
         "claimed": row["failed"] or answer.get("verdict") == "listed_effect" or bool(selected),

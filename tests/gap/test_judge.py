@@ -31,7 +31,7 @@ def test_of_effects_that_leave_as_much_the_simpler_one_is_ahead():
 def test_the_share_left_parts_listed_from_unlisted():
     p = [judge.probabilities(evidence({"contact": x}))["unlisted_effect"] for x in (0.02, 0.1, 0.3, 0.6)]
     assert p == sorted(p)
-    assert p[0] < judge.UNFORESEEN and p[-1] > 0.9
+    assert p[0] < judge.WEIGHTS.unforeseen and p[-1] > 0.9
 
 
 def test_the_interval_is_of_runs_that_no_fit_has_seen():
