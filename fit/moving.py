@@ -12,6 +12,7 @@ import numpy as np
 from scipy import stats
 
 from ljjax.fit.dynamic import Estimate
+from ljjax.fit.folds import left_out
 from ljjax.fit.points import UNIT
 from ljjax.fit.record import SCHEMA, about_run, plain
 from ljjax.fit.result import FitResult, Parameter
@@ -139,7 +140,7 @@ class DynamicResult(FitResult):
             if estimate is None:
                 continue
             error = estimate.error.mean(axis=1)
-            left_out = _left_out(estimate) if role == "train" else None
+            kept_out = _left_out(estimate) if role == "train" else None
             for i, motion in enumerate(estimate.problem.motions):
                 mine = estimate.windows.sample_run == i
                 e = error[mine]
@@ -150,7 +151,7 @@ class DynamicResult(FitResult):
                         len(e),
                         float(np.sqrt(np.mean(e**2))),
                         float(np.max(np.abs(e))),
-                        None if left_out is None else float(left_out[i]),
+                        None if kept_out is None else kept_out[i],
                         None if estimate.step_error is None else float(estimate.step_error[i]),
                     )
                 )
@@ -273,20 +274,11 @@ class DynamicResult(FitResult):
         }
 
 
-def _left_out(estimate: Estimate) -> np.ndarray:
-    """(R,) RMS error of θ of each run where its own data are left out of the fit, to first order [rad]."""
-    e, weight = estimate, estimate.weight / estimate.sigma**2
-    whole = np.linalg.pinv(e.white, hermitian=True)
-    out = []
-    for i in range(len(e.problem.motions)):
-        mine = e.windows.sample_run == i
-        j, error = e.jacobian[mine], e.error[mine]
-        own = np.einsum("nck,nc,ncl->kl", j, weight[mine], j, optimize=True)
-        pull = np.einsum("nck,nc,nc->k", j, weight[mine], error, optimize=True)
-        rest = np.linalg.pinv(whole - own, rcond=1e-10, hermitian=True)
-        moved = error + np.einsum("nck,k->nc", j, rest @ pull)
-        out.append(np.sqrt(np.mean(moved.mean(axis=1) ** 2)))
-    return np.array(out)
+def _left_out(estimate: Estimate) -> list[float]:
+    """RMS error of θ of each run where its own data are left out of the fit [rad]."""
+    error = left_out(estimate, np.arange(len(estimate.problem.motions))).mean(axis=1)
+    own = [error[estimate.windows.sample_run == i] for i in range(len(estimate.problem.motions))]
+    return [float(np.sqrt(np.mean(e**2))) for e in own]
 
 
 def profile_interval(value: np.ndarray, chi2: np.ndarray) -> tuple[float | None, float | None]:

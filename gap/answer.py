@@ -10,17 +10,19 @@ import numpy as np
 from ljjax import effects
 from ljjax.fit.dynamic import Estimate
 from ljjax.fit.result import NOMINAL
-from ljjax.gap import judge, where
+from ljjax.gap import judge, screening, where
 from ljjax.gap.data import role_of
 from ljjax.gap.experiment import next_experiment
 from ljjax.gap.inquiry import Inquiry
-from ljjax.gap.result import Diagnosis, Finding, Gap, Region
+from ljjax.gap.result import Diagnosis, Finding, Fold, Gap, Region
 from ljjax.gap.search import Refit
 from ljjax.gap.story import Story
 from ljjax.logs import Run, Signal
 from ljjax.modelfile import ModelFile
 
 ANGLE = {1: "theta"}
+LEFT_OVER, COLOURED, POORER = 0.1, 3.0, 0.4
+"""What a reader is told of: so much of the gap left, so coloured; a condition that closes by so much less than most."""
 
 
 def answer(inquiry: Inquiry) -> Diagnosis:
@@ -39,6 +41,7 @@ def answer(inquiry: Inquiry) -> Diagnosis:
     return Diagnosis(
         verdict=inquiry.verdict,
         gap=_gap(inquiry, chosen, seen),
+        folds=_folds(inquiry, chosen),
         where=_where(inquiry, chosen),
         effects=_findings(inquiry),
         selected=list(chosen.ids),
@@ -89,6 +92,19 @@ def _gap(inquiry: Inquiry, chosen: Refit, seen: Sequence[Estimate]) -> Gap:
             ci = (min(ci[0], fraction), max(ci[1], fraction))
     ids = tuple(m.run.run_id for m in setting.test)
     return Gap(_channel(inquiry), "rad", before, end, floor, fraction, ci, ids, given)
+
+
+def _folds(inquiry: Inquiry, chosen: Refit) -> list[Fold]:
+    """Every condition, left out of the fits of base and chosen model."""
+    if chosen is inquiry.base:
+        return []
+    by, fold = inquiry.folds
+    out = []
+    for k, closed in enumerate(inquiry.closes(chosen)):
+        mine = [m for m, f in zip(inquiry.setting.train, fold, strict=True) if f == k]
+        runs, vacuum = tuple(m.run.run_id for m in mine), float(np.mean([m.vacuum.mean() for m in mine]))
+        out.append(Fold(by, runs, vacuum, float(closed) if np.isfinite(closed) else None))
+    return out
 
 
 def _equivalent(inquiry: Inquiry) -> list[list[str]]:
@@ -164,8 +180,34 @@ def _warnings(inquiry: Inquiry) -> list[str]:
             f"the best listed effect leaves {100 * min(min(inquiry.evidence.left.values()), 1.0):.0f} % of the gap: "
             "what causes it is none of those known here"
         )
+    if inquiry.verdict == "listed_effect":
+        out += _left_over(inquiry)
     if not inquiry.base.estimate.converged:
         out.append("the base fit stopped before it converged; take the answer with care")
+    return out
+
+
+def _left_over(inquiry: Inquiry) -> list[str]:
+    """What the selected effects leave, and conditions to which they do not carry over."""
+    chosen, out = inquiry.chosen, []
+    left, estimate = inquiry.own_left(chosen), chosen.estimate
+    colour = screening.colour(estimate.error, estimate.windows.sample_run)
+    who = " and ".join(chosen.ids)
+    if left > LEFT_OVER and colour > COLOURED:
+        axes = " and ".join(where.loudest(estimate, estimate.error)[:2])
+        out.append(
+            f"with {who} {100 * left:.0f} % of the fitted runs' gap is left, and it is no noise (unevenly spread along "
+            f"{axes}): the cause has another form here, or something else is missing too"
+        )
+    closes = inquiry.closes(chosen)
+    known = closes[np.isfinite(closes)]
+    if len(known) > 1 and known.min() < np.median(known) - POORER:
+        k = int(np.nanargmin(closes))
+        runs = [m.run.run_id for m, f in zip(inquiry.setting.train, inquiry.folds[1], strict=True) if f == k]
+        out.append(
+            f"left out of the fit, {', '.join(runs)} would close by {100 * known.min():.0f} % alone (others "
+            f"{100 * np.median(known):.0f} %): {who} as fitted carries over badly to that condition"
+        )
     return out
 
 

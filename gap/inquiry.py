@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ljjax.fit import folds
 from ljjax.fit.windows import Motion
 from ljjax.gap import channels, judge, screening
 from ljjax.gap.candidates import Trial
@@ -21,6 +22,8 @@ from ljjax.modelfile import ModelFile
 LEADERS, FEW, SECOND, MOST = 12, 4, 5, 3
 """How many candidates are refitted alone, how many where chance promises as much as they do, how many with those found
 before, and how many are found at most."""
+AFRESH = 0.3
+"""Where the best candidate leaves more than this share of the gap, the leaders are begun from the given model too."""
 HEARD = 3
 """How many effects that measured inputs show are begun as they show there."""
 FURTHER, PAIRS = 0.12, 0.25
@@ -114,7 +117,21 @@ class Inquiry:
             trials.append(trial)
             steps[trial] = step
         trials += self._heard()
-        return study.refit(self.base.model, trials, screen, steps, finish=4, sure=3)
+        found = study.refit(self.base.model, trials, screen, steps, finish=4, sure=3)
+        if self.excess > judge.OPEN * self.floor and min((self.own_left(r) for r in found), default=1.0) > AFRESH:
+            found += self._afresh()
+        return found
+
+    def _afresh(self) -> list[Refit]:
+        """Leaders once more, begun from the given model: a large effect bends the base's refit so far that effects
+        begun there may not find their way."""
+        study, screen = self.setting.study, self.setting.study.screen(self.given)
+        trials, steps = [], {}
+        for key in self._ahead(screen, SECOND + 1):
+            trial, step = study.trial(screen, key)
+            trials.append(trial)
+            steps[trial] = step
+        return study.refit(study.start, trials, screen, steps, "candidates from the given model", finish=3, sure=3)
 
     @staticmethod
     def _ahead(screen: Screen, count: int) -> list[tuple[str, int]]:
@@ -211,6 +228,36 @@ class Inquiry:
         return self._joined[refit]
 
     @cached_property
+    def folds(self) -> tuple[str, np.ndarray]:
+        """What folds are made of, and (R,) the fold of each fitted run."""
+        return folds.conditions(self.setting.train)
+
+    def closes(self, refit: Refit) -> np.ndarray:
+        """(F,) the share of the gap that a refit closes in each fold where that fold is left out of every fit, to first
+        order; NaN where it shows no gap."""
+        before, after, floor = self._unseen(self.base), self._unseen(refit), self._fold_floor
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(before > judge.MATTERS * floor, 1 - after / before, np.nan)
+
+    def leaves_unseen(self, refit: Refit) -> float:
+        """The share of the gap that a refit leaves over all folds."""
+        return float(self._unseen(refit).sum() / max(self._unseen(self.base).sum(), 1e-3 * self.gap))
+
+    def _unseen(self, refit: Refit) -> np.ndarray:
+        """(F,) loss above the floor of each fold where it is left out."""
+        fold = self.folds[1]
+        cost = self.setting.study.cost(folds.left_out(refit.estimate, fold))
+        return np.bincount(self._sample_fold, cost) - self._fold_floor
+
+    @cached_property
+    def _sample_fold(self) -> np.ndarray:
+        return self.folds[1][self.base.estimate.windows.sample_run]
+
+    @cached_property
+    def _fold_floor(self) -> np.ndarray:
+        return self.setting.study.floor(1) * np.bincount(self._sample_fold)
+
+    @cached_property
     def unit(self) -> float:
         """What a χ² of 1 is as a share of the excess, by what the best refit leaves."""
         return self._unit(self.found.best)
@@ -244,4 +291,6 @@ class Inquiry:
         count = len(self.setting.study.names)
         worse = (self.given.total - self.base.total) / max(self._variance(self.base), 1e-12)
         as_given = worse < count + 4 * np.sqrt(2 * count) or self.given.total < 1.01 * self.base.total
-        return judge.Evidence(self.excess / max(self.floor, 1e-9), left, size, self.unit, chance, bool(as_given))
+        unseen = {i: self.leaves_unseen(r) for i, r in found.single.items()}
+        excess = self.excess / max(self.floor, 1e-9)
+        return judge.Evidence(excess, left, size, self.unit, chance, bool(as_given), unseen)

@@ -9,7 +9,7 @@ stays with what nobody has thought of. How much of each is in `Weights`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -55,6 +55,7 @@ class Evidence:
         unit: what a χ² of 1 is, as a share of the excess (the residuals' colour counted).
         chance: probability that data without an effect gain as much.
         as_given: whether the given model explains the runs no worse than the refitted base does.
+        unseen: by effect refitted alone, the share left where each condition is left out of the fits (to first order).
     """
 
     excess: float
@@ -63,6 +64,7 @@ class Evidence:
     unit: float
     chance: float
     as_given: bool
+    unseen: Mapping[str, float] = field(default_factory=dict)
 
 
 def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:

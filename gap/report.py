@@ -47,6 +47,7 @@ def report(story: Any, result: Diagnosis, data: Mapping[str, Any]) -> str:
         *_grid([_overlay(c, story.models(result)) for c in drawn]),
         "<h2>How far it closes</h2>",
         *_grid(_closing(story, result)),
+        _left_out(result),
         _parameters(story),
         "<h2>What these data cannot tell apart</h2>",
         *_apart(story, result),
@@ -225,6 +226,26 @@ def _closing(story: Story, result: Diagnosis) -> list[str]:
     rows.append(["noise floor", degrees(fitted), degrees(result.gap.noise_floor)])
     table = page.table(["RMS error", "runs fitted", "runs not fitted"], rows, numeric=(1, 2))
     return [page.figure(picture, "From error to noise", caption), f"<div>{table}</div>"]
+
+
+def _left_out(result: Diagnosis) -> str:
+    """How far the gap closes in conditions that are left out of the fits."""
+    if not result.folds:
+        return ""
+    rows = [
+        [escape(", ".join(f.runs)), number(f.pressure_kpa), _whole_percent(f.closed_fraction)]
+        for f in sorted(result.folds, key=lambda f: f.pressure_kpa if f.by == "pressure" else 0.0)
+    ]
+    what = "every pressure" if result.folds[0].by == "pressure" else "every run"
+    note = (
+        f"Fitted runs, {what} in turn left out of both fits and predicted (to first order): how much of its gap the "
+        "selected effects close there. –: no gap there."
+    )
+    return _under(note, page.table(["left out", "mean vacuum [kPa]", "closes"], rows, numeric=(1, 2)))
+
+
+def _whole_percent(share: float | None) -> str:
+    return "–" if share is None else f"{100 * share:.0f} %"
 
 
 def _parameters(story: Story) -> str:

@@ -48,6 +48,17 @@ class Gap:
 
 
 @dataclass(frozen=True)
+class Fold:
+    """A condition left out of the fits: `by` pressure or run, its runs' ids and mean vacuum [kPa], and the share of its
+    gap that the selected effects then close (to first order), None where it shows none."""
+
+    by: str
+    runs: tuple[str, ...]
+    pressure_kpa: float
+    closed_fraction: float | None
+
+
+@dataclass(frozen=True)
 class Region:
     """A place where the gap lies: block of the model, channel, axis and range along it, share of the squared gap."""
 
@@ -85,6 +96,7 @@ class Diagnosis:
     Attributes:
         verdict: `listed_effect`, `no_gap`, `parameters_only` or `unlisted_effect`.
         gap: how large it is, and how far it closes.
+        folds: how far each condition's gap closes where it is left out of the fits; empty without selected effects.
         where: places, the largest share first.
         effects: every candidate and the three of `LAST`, the most probable first.
         selected: effects in the model, in the order in which they were found.
@@ -118,6 +130,7 @@ class Diagnosis:
     story: Any
     overlays: Sequence[Mapping[str, Mapping[str, Signal]]]
     evidence: Evidence | None = None
+    folds: Sequence[Fold] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """The content of gap.json."""
@@ -127,6 +140,7 @@ class Diagnosis:
                 "schema": SCHEMA,
                 "verdict": self.verdict,
                 "gap": gap,
+                "left_out": [vars(f) for f in self.folds],
                 "where": [vars(r) for r in self.where],
                 "effects": [vars(f) for f in self.effects],
                 "selected": list(self.selected),

@@ -196,10 +196,13 @@ class Study:
 
     def loss(self, found: Estimate) -> np.ndarray:
         """(R,) squared residuals in units of the base's own, beyond `HUBER` of them counted linearly."""
+        return np.bincount(found.windows.sample_run, self.cost(found.error), len(found.problem.motions))
+
+    def cost(self, error: np.ndarray) -> np.ndarray:
+        """(N,) what `loss` adds up, of errors (N, c) [rad]."""
         assert self.unit is not None
-        x = np.abs(found.error / self.unit)
-        cost = np.where(x <= HUBER, x**2, 2 * HUBER * x - HUBER**2).sum(axis=1)
-        return np.bincount(found.windows.sample_run, cost, len(found.problem.motions))
+        x = np.abs(error / self.unit)
+        return np.where(x <= HUBER, x**2, 2 * HUBER * x - HUBER**2).sum(axis=1)
 
     def floor(self, count: int) -> float:
         """What `loss` would be for the measurements' white noise alone, over so many samples."""

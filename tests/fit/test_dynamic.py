@@ -20,6 +20,7 @@ from ljjax.errors import InputError
 from ljjax.fit import fit, fit_many
 from ljjax.fit.coordinates import Coordinates
 from ljjax.fit.dynamic import ROUNDS, Search, bandwidth
+from ljjax.fit.folds import conditions, left_out
 from ljjax.fit.moving import DynamicResult, profile_interval
 from ljjax.fit.pooling import pool
 from ljjax.fit.shooting import together
@@ -152,6 +153,28 @@ def test_sensitivities_are_those_of_the_simulator(found):
         d[i] = 1e-5
         central = (path(e.x + d) - path(e.x - d)) / 2e-5
         assert np.linalg.norm(raw[..., i] - central) < 0.01 * np.linalg.norm(central), c.names[i]
+
+
+def test_leaving_a_run_out_to_first_order_is_a_fit_without_it(found):
+    model, e = robot(), found.estimate
+    without = fit(guess(model), [logged(model, s) for s in (0, 1)], held_out=[logged(model, 2)])
+    assert isinstance(without, DynamicResult) and without.held_out is not None
+    late = np.flatnonzero(e.windows.sample_run == 2)[
+        150:
+    ]  # where the start, which a held-out run takes as it is, fades
+    foretold, refitted, whole = left_out(e, np.arange(3))[late], without.held_out.error[150:], e.error[late]
+    assert np.std(foretold - refitted) < 0.3 * np.std(whole - refitted)
+
+
+def test_conditions_are_pressures_where_runs_keep_to_one():
+    def at(*kpa: float) -> Any:
+        return SimpleNamespace(vacuum=np.array(kpa))
+
+    by, fold = conditions([at(20, 20.5), at(0, 0), at(40, 41), at(0.5, 0)])
+    assert by == "pressure" and fold.tolist() == [1, 0, 2, 0]
+    for runs in ([at(0, 0), at(20, 20)], [at(0, 10), at(20, 20), at(40, 40)]):
+        by, fold = conditions(runs)
+        assert by == "run" and fold.tolist() == list(range(len(runs)))
 
 
 def test_a_profile_agrees_with_the_deviation(found):

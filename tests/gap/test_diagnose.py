@@ -17,6 +17,7 @@ from benchmarks.recovery.robots import draw
 from benchmarks.recovery.study import model_of
 from ljjax import modelfile
 from ljjax.cli import main
+from ljjax.gap.result import LAST
 from ljjax.logs import Writer, read
 from ljjax.modelfile import ModelFile
 from ljjax.replay import replay
@@ -92,6 +93,9 @@ def test_a_slow_sheath_is_named_and_added(tmp_path, capsys):
     gap = data["gap"]
     assert gap["before"] > 2 * gap["noise_floor"] and gap["closed_fraction"] > 0.9
     assert gap["closed_fraction_ci95"][0] <= gap["closed_fraction"] <= gap["closed_fraction_ci95"][1]
+    conditions = [f["closed_fraction"] for f in data["left_out"] if f["closed_fraction"] is not None]
+    assert len(conditions) >= 2 and min(conditions) > 0.5  # it carries over to runs left out of the fits
+    assert set(data["evidence"]["left"]) == {e["id"] for e in data["effects"]} - set(LAST)
     assert "Cause: pressure_lag" in capsys.readouterr().out
 
     # the files say the same: the extended model replays an unseen run better than the refitted base

@@ -1,0 +1,51 @@
+"""What a fit says of runs that are left out of it, to first order: no fit is made anew."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from ljjax.fit.dynamic import FAR, Estimate
+from ljjax.fit.windows import Motion
+
+STEADY_KPA = 3.0
+"""Runs whose vacuum moves by less are at one pressure, and at the same one where theirs are closer."""
+
+
+def left_out(estimate: Estimate, fold: np.ndarray) -> np.ndarray:
+    """(N, c) measured − predicted [rad] of each sample where its whole fold is left out of the fit.
+
+    Parameters move no further than first order reaches (`FAR`), however little the other folds say of them.
+
+    Args:
+        fold: (R,) which fold each run is in.
+    """
+    e, weight = estimate, estimate.weight / estimate.sigma**2
+    reach = FAR * e.problem.coordinates.spread
+    whole = np.linalg.pinv(e.white, rcond=1e-14, hermitian=True)
+    out = np.empty_like(e.error)
+    for k in np.unique(fold):
+        mine = np.isin(e.windows.sample_run, np.flatnonzero(fold == k))
+        j, error = e.jacobian[mine], e.error[mine]
+        own = np.einsum("nck,nc,ncl->kl", j, weight[mine], j, optimize=True)
+        pull = np.einsum("nck,nc,nc->k", j, weight[mine], error, optimize=True)
+        rest = (whole - own) * np.outer(reach, reach)
+        root = np.linalg.cholesky(rest + (1e-9 * np.trace(rest) + 1) * np.eye(len(reach)))
+        moved = reach * lsq_linear(root.T, np.linalg.solve(root, reach * pull), (-1.0, 1.0)).x
+        out[mine] = error + np.einsum("nck,k->nc", j, moved)
+    return out
+
+
+def conditions(motions: Sequence[Motion]) -> tuple[str, np.ndarray]:
+    """What folds are made of, `pressure` or `run`, and (R,) the fold of each run: all runs at one vacuum where each
+    keeps to one and there are three or more of them, else every run by itself."""
+    level = np.array([np.median(m.vacuum) for m in motions])
+    if all(np.ptp(m.vacuum) < STEADY_KPA for m in motions):
+        order = np.argsort(level)
+        fold = np.zeros(len(level), int)
+        fold[order] = np.cumsum(np.diff(level[order], prepend=level[order[0]]) > STEADY_KPA)
+        if fold.max() >= 2:
+            return "pressure", fold
+    return "run", np.arange(len(level))
