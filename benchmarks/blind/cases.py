@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.blind import logs, magnitude, mujoco_plant, plant, seal, sensing
-from benchmarks.blind.causes import ALIKE, CAUSES, LISTED, UNLISTED, Cause, Setting, confusable
+from benchmarks.blind.causes import ALIKE, CAUSES, LISTED, UNLISTED, Cause, Setting, confusable, row
 from benchmarks.recovery.experiments import Experiment, plan
 from benchmarks.recovery.robots import Robot, draw
 
@@ -129,6 +129,7 @@ def make(case: Case, folder: Path) -> None:
     label: dict[str, Any] = {
         **asdict(case),
         "numbers": {name: list(map(float, x)) for name, x in causes.items()},
+        "forms": {name: plant.form(x) for name, x in causes.items()},
         "gap_over_noise": reached,
         "gap_asked": asked,
         "columns": robot.columns,
@@ -174,12 +175,16 @@ def planted(case: Case, attempt: int) -> Planted:
     for name in case.causes:
         cause = CAUSES[name]
         way = float(rng.choice([-1, 1])) if cause.signed else 1.0
-        shape = cause.shape(rng, setting)
+        form = int(np.random.default_rng([case.seed, 3, attempt, len(causes)]).integers(len(cause.shapes)))
+        shape = cause.shapes[form]
+        numbers = shape.numbers(rng, setting)
 
-        def at(strength: float, name: str = name, way: float = way, shape: list[float] = shape) -> plant.Causes:
-            return {name: [way * strength, *shape]}
+        def at(
+            strength: float, name: str = name, way: float = way, form: int = form, numbers: list[float] = numbers
+        ) -> plant.Causes:
+            return {name: row(form, way * strength, numbers)}
 
-        strength, gap = magnitude.strength(of, at, asked, cause.start, cause.largest)
+        strength, gap = magnitude.strength(of, at, asked, shape.start, shape.largest)
         causes |= {name: list(at(strength)[name])}
         reached = min(reached, gap)
     return robot, runs, causes, float(reached), float(asked)

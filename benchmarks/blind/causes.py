@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.blind.plant import JOINTS
+from benchmarks.blind.plant import FORM, JOINTS
 from benchmarks.recovery.experiments import Array
 
 Draw = Callable[[np.random.Generator, "Setting"], list[float]]
@@ -31,25 +31,43 @@ class Setting:
 
 
 @dataclass(frozen=True)
+class Shape:
+    """One of the mathematical forms that a cause can take.
+
+    Attributes:
+        start: a strength to begin the search from, in the unit of `largest`.
+        largest: the strongest that a robot can have.
+        numbers: its further numbers, drawn.
+        axes: region axes that are right for it beside its cause's.
+    """
+
+    start: float
+    largest: float
+    numbers: Draw
+    axes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Cause:
     """One cause.
 
     Attributes:
         block: of the model, as `gap.json` names it; None for a cause that no listed effect stands for.
         axes: region axes that are right, each by itself.
-        start: a strength to begin the search from, in the unit of `largest`.
-        largest: the strongest that a robot can have.
-        shape: its further numbers, drawn.
+        shapes: all equally likely.
         signed: whether it can go both ways.
     """
 
     id: str
     block: str | None
     axes: tuple[str, ...]
-    start: float
-    largest: float
-    shape: Draw
+    shapes: tuple[Shape, ...]
     signed: bool = False
+
+
+def row(form: int, strength: float, numbers: Sequence[float]) -> list[float]:
+    """A cause's numbers as the simulators want them."""
+    return [strength, *numbers, *[0.0] * (FORM - 1 - len(numbers)), float(form)]
 
 
 def _none(rng: np.random.Generator, setting: Setting) -> list[float]:
@@ -60,11 +78,29 @@ def _between(*ranges: tuple[float, float]) -> Draw:
     return lambda rng, setting: [rng.uniform(low, high) for low, high in ranges]
 
 
-def _sides(rng: np.random.Generator, setting: Setting) -> list[float]:
-    """One tendon all of it, the other little or the other way."""
-    sides = [1.0, rng.uniform(-0.4, 0.4)]
-    rng.shuffle(sides)
-    return sides
+def _fixed(*numbers: float) -> Draw:
+    return lambda rng, setting: list(numbers)
+
+
+def _then(*draws: Draw) -> Draw:
+    """The numbers of one draw after those of another."""
+    return lambda rng, setting: [x for draw in draws for x in draw(rng, setting)]
+
+
+def _alike(start: float, largest: float, *draws: Draw) -> tuple[Shape, ...]:
+    """Shapes of like strengths."""
+    return tuple(Shape(start, largest, draw) for draw in draws)
+
+
+def _sides(low: float, high: float) -> Draw:
+    """One tendon all of it, the other so much."""
+
+    def draw(rng: np.random.Generator, setting: Setting) -> list[float]:
+        sides = [1.0, rng.uniform(low, high)]
+        rng.shuffle(sides)
+        return sides
+
+    return draw
 
 
 def _ripple(rng: np.random.Generator, setting: Setting) -> list[float]:
@@ -80,14 +116,48 @@ def _curved(rng: np.random.Generator, setting: Setting) -> list[float]:
     return list(1 + 0.35 * rng.standard_normal(JOINTS).clip(-2, 2))
 
 
-def _uneven(rng: np.random.Generator, setting: Setting) -> list[float]:
-    x = rng.standard_normal(JOINTS)
-    x -= x.mean()
+def _kinked(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """All of it in two neighbouring joints."""
+    x = np.zeros(JOINTS)
+    at = int(rng.integers(JOINTS - 1))
+    x[at : at + 2] = rng.uniform(1, 3, 2)
+    return list(x / x.mean())
+
+
+def _level(x: Array) -> list[float]:
+    """With mean 0 and size 1."""
+    x = x - x.mean()
     return list(x / np.sqrt(np.mean(x**2)))
 
 
+def _uneven(rng: np.random.Generator, setting: Setting) -> list[float]:
+    return _level(rng.standard_normal(JOINTS))
+
+
+def _tapered(rng: np.random.Generator, setting: Setting) -> list[float]:
+    return _level(rng.choice([-1.0, 1.0]) * np.arange(JOINTS) ** rng.uniform(0.7, 1.5))
+
+
+def _weak(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """One joint has given way."""
+    x = np.zeros(JOINTS)
+    x[rng.integers(JOINTS)] = -2.0
+    return list(x)
+
+
+def _lump(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """All of the weight at the end of one of the middle links."""
+    last = int(rng.integers(1, JOINTS - 1))
+    return [1.5 * (i <= last) for i in range(JOINTS)]
+
+
 def _payload(rng: np.random.Generator, setting: Setting) -> list[float]:
-    return [rng.uniform(0.005, 0.03), rng.uniform(-0.003, 0.003)]
+    return [rng.uniform(0.005, 0.03), rng.uniform(-0.003, 0.003), 0.015]
+
+
+def _gripper(rng: np.random.Generator, setting: Setting) -> list[float]:
+    length = rng.uniform(0.06, 0.14)
+    return [length / 2, rng.uniform(-0.01, 0.01), length / 4.8**0.5]
 
 
 def _obstacle(rng: np.random.Generator, setting: Setting) -> list[float]:
@@ -95,8 +165,27 @@ def _obstacle(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [rng.uniform(0.45, 0.65) * setting.tip_m[side], (1.0, -1.0)[side]]
 
 
+def _bent(low: float, high: float) -> Draw:
+    """An angle of every joint, as a share of the farthest to a side, and that side."""
+
+    def draw(rng: np.random.Generator, setting: Setting) -> list[float]:
+        side = int(rng.integers(2))
+        return [rng.uniform(low, high) * setting.tip_m[side] / 0.756, (1.0, -1.0)[side]]
+
+    return draw
+
+
+def _derailed(rng: np.random.Generator, setting: Setting) -> list[float]:
+    angle, side = _bent(0.5, 0.75)(rng, setting)
+    return [float(side < 0), angle]
+
+
 def _which(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [float(rng.integers(2))]
+
+
+def _warming(rng: np.random.Generator, setting: Setting) -> list[float]:
+    return [float(rng.integers(2)), rng.choice([-1.0, 1.0])]
 
 
 def _joint(rng: np.random.Generator, setting: Setting) -> list[float]:
@@ -120,55 +209,170 @@ def _markers(rng: np.random.Generator, setting: Setting) -> list[float]:
     return list(rng.uniform(0.3, 1.0, JOINTS) * rng.choice([1, 1, 1, -1], JOINTS))
 
 
+def _one_marker(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """Of two neighbouring angles what one gains the other loses; the last marker has one angle."""
+    x = np.zeros(JOINTS + 1)
+    at = int(rng.integers(JOINTS))
+    x[at], x[at + 1] = 1, -1
+    return list(1.7 * x[:JOINTS])
+
+
 def _seed(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [float(rng.integers(2**31))]
 
 
 LISTED = (
-    Cause("tendon_friction", "actuation", ("direction", "load", "angle"), 0.05, 0.5, _between((0.03, 0.15))),
-    Cause("tendon_slack", "actuation", ("direction", "load"), 0.3, 6, _none),
-    Cause("actuator_lag", "actuation", ("rate", "direction", "time"), 0.02, 0.5, _none),
-    Cause("actuator_delay", "actuation", ("rate", "direction", "time"), 0.02, 0.3, _between((0.05, 0.3), (0, 6))),
-    Cause("actuator_deadband", "actuation", ("load", "angle"), 0.4, 5, _none),
-    Cause("actuator_gain", "actuation", ("load", "angle", "everywhere", "direction"), 0.05, 0.5, _sides, True),
-    Cause("actuator_ripple", "actuation", ("angle", "load"), 0.3, 4, _ripple),
-    Cause("actuator_saturation", "actuation", ("load", "angle"), 0.3, 0.8, _peak),
-    Cause("pressure_lag", "jamming", ("pressure", "time", "rate"), 0.5, 6, _between((0.5, 2.2))),
-    Cause("pressure_leak", "jamming", ("pressure", "time"), 1, 8, _between((3, 9), (3, 8))),
-    Cause("pressure_bias", "jamming", ("pressure",), 1, 8, _none, True),
-    Cause("stiffness_saturation", "jamming", ("pressure",), 1, 8, _none),
-    Cause("friction_saturation", "jamming", ("pressure",), 1, 8, _none),
-    Cause("layer_hysteresis", "jamming", ("direction",), 0.02, 0.3, _none),
-    Cause("layer_wear", "jamming", ("time", "run"), 0.3, 0.9, _between((3, 10))),
-    Cause("viscoelastic_creep", "structure", ("time", "rate"), 0.3, 6, _none),
-    Cause("viscous_damping", "structure", ("rate", "direction"), 0.05, 1.5, _none),
-    Cause("stiffness_hardening", "structure", ("angle", "load"), 3, 60, _none),
-    Cause("rest_curvature", "structure", ("everywhere", "angle", "pressure"), 0.01, 0.25, _curved, True),
-    Cause("base_tilt", "structure", ("everywhere", "angle", "pressure"), 0.1, 1.0, _none, True),
-    Cause("tip_payload", "structure", ("angle", "segment", "rate"), 0.03, 0.4, _payload),
-    Cause("gravity_distribution", "structure", ("angle", "segment"), 0.5, 3, _none),
-    Cause("nonuniform_stiffness", "structure", ("segment",), 0.1, 0.7, _uneven),
-    Cause("contact", "structure", ("angle", "load"), 100, 1e4, _obstacle),
-    Cause("friction_asymmetry", "friction", ("direction",), 0.1, 0.65, _none, True),
-    Cause("load_dependent_friction", "friction", ("load", "pressure"), 0.2, 4, _none),
-    Cause("thermal_drift", "friction", ("time", "run"), 0.2, 2.5, _which),
-    Cause("sensor_bias", "sensing", ("everywhere",), 0.001, 0.05, _markers, True),
-    Cause("sensor_scale", "sensing", ("everywhere", "angle"), 0.02, 0.12, _none, True),
-    Cause("sensor_delay", "sensing", ("rate", "direction", "time"), 0.02, 0.3, _between((0.05, 0.2), (0, 6))),
-    Cause("sensor_filter", "sensing", ("rate", "time", "direction"), 0.05, 0.8, _none),
+    Cause(
+        *("tendon_friction", "actuation", ("direction", "load", "angle")),
+        _alike(0.05, 0.5, _between((0.03, 0.15)), _none, _sides(0.05, 0.3)),
+    ),
+    Cause(
+        *("tendon_slack", "actuation", ("direction", "load")),
+        (*_alike(0.3, 6, _none, _none), Shape(2, 30, _between((15, 60)), ("time", "rate"))),
+    ),
+    Cause(
+        *("actuator_lag", "actuation", ("rate", "direction", "time")),
+        _alike(0.02, 0.5, _none, _none, _between((0.3, 0.6))),
+    ),
+    Cause(
+        *("actuator_delay", "actuation", ("rate", "direction", "time")),
+        _alike(0.02, 0.3, _between((0.05, 0.3), (0, 6)), _none, _seed),
+    ),
+    Cause(
+        *("actuator_deadband", "actuation", ("load", "angle")),
+        _alike(0.4, 5, _none, _none, _sides(0.2, 0.6)),
+    ),
+    Cause(
+        *("actuator_gain", "actuation", ("load", "angle", "everywhere", "direction")),
+        _alike(0.05, 0.5, _sides(-0.4, 0.4), _sides(0, 0), _none),
+        signed=True,
+    ),
+    Cause("actuator_ripple", "actuation", ("angle", "load"), _alike(0.3, 4, _ripple, _ripple, _ripple)),
+    Cause(
+        *("actuator_saturation", "actuation", ("load", "angle")),
+        (*_alike(0.3, 0.8, _peak, _peak), Shape(0.3, 0.8, _then(_peak, _between((0.2, 0.8))), ("time",))),
+    ),
+    Cause(
+        *("pressure_lag", "jamming", ("pressure", "time", "rate")),
+        (Shape(0.5, 6, _between((0.5, 2.2))), *_alike(0.3, 4, _between((0.4, 2.5)), _between((0.4, 2.5)))),
+    ),
+    Cause(
+        *("pressure_leak", "jamming", ("pressure", "time")),
+        (
+            Shape(1, 8, _between((3, 9), (3, 8))),
+            Shape(0.4, 0.95, _between((1.5, 6))),
+            Shape(1, 12, _between((0.2, 1)), ("angle",)),
+        ),
+    ),
+    Cause("pressure_bias", "jamming", ("pressure",), _alike(1, 8, _none, _none, _none), signed=True),
+    Cause(
+        *("stiffness_saturation", "jamming", ("pressure",)),
+        (*_alike(1, 8, _none, _none, _none), Shape(0.3, 1, _between((6, 12)))),
+    ),
+    Cause(
+        *("friction_saturation", "jamming", ("pressure",)),
+        (Shape(1, 8, _none), *_alike(0.3, 1, _between((1.5, 6)), _between((2, 7)))),
+    ),
+    Cause(
+        *("layer_hysteresis", "jamming", ("direction",)),
+        (
+            Shape(0.02, 0.3, _none),
+            Shape(0.02, 0.3, _between((0.02, 0.07), (1, 2))),
+            Shape(0.04, 1, _between((0.02, 0.05)), ("angle",)),
+        ),
+    ),
+    Cause(
+        *("layer_wear", "jamming", ("time", "run")),
+        (*_alike(0.3, 0.9, _between((3, 10)), _between((3, 15))), Shape(0.3, 4, _between((1, 5)))),
+    ),
+    Cause(
+        *("viscoelastic_creep", "structure", ("time", "rate")),
+        _alike(0.3, 6, _none, _between((0.5, 6)), _between((2, 10))),
+    ),
+    Cause(
+        *("viscous_damping", "structure", ("rate", "direction")),
+        (*_alike(0.05, 1.5, _none, _none), Shape(0.1, 6, _none)),
+    ),
+    Cause(
+        *("stiffness_hardening", "structure", ("angle", "load")),
+        (Shape(3, 60, _none), Shape(15, 400, _none), Shape(1, 20, _between((0.07, 0.14)), ("pressure",))),
+    ),
+    Cause(
+        *("rest_curvature", "structure", ("everywhere", "angle", "pressure")),
+        (*_alike(0.01, 0.25, _curved, _fixed(*[1.0] * JOINTS)), Shape(0.01, 0.2, _kinked, ("segment",))),
+        signed=True,
+    ),
+    Cause(
+        *("base_tilt", "structure", ("everywhere", "angle", "pressure")),
+        (*_alike(0.1, 1.0, _none, _none), Shape(0.1, 0.8, _seed, ("run",))),
+        signed=True,
+    ),
+    Cause(
+        *("tip_payload", "structure", ("angle", "segment", "rate")),
+        _alike(0.03, 0.4, _payload, _fixed(0, 0, 0), _gripper),
+    ),
+    Cause(
+        *("gravity_distribution", "structure", ("angle", "segment")),
+        _alike(0.5, 3, _fixed(*(1 - 0.12 * (i - 2.5) for i in range(JOINTS))), _fixed(*[1.0] * JOINTS), _lump),
+    ),
+    Cause(
+        *("nonuniform_stiffness", "structure", ("segment",)),
+        (
+            *_alike(0.1, 0.7, _then(_uneven, _fixed(1, 0.6)), _then(_uneven, _fixed(1, 1))),
+            Shape(0.1, 0.6, _then(_tapered, _fixed(0.3, 1.5)), ("pressure",)),
+            Shape(0.1, 0.45, _then(_weak, _fixed(1, 1))),
+        ),
+    ),
+    Cause(
+        *("contact", "structure", ("angle", "load")),
+        (*_alike(100, 1e4, _obstacle, _obstacle), Shape(3, 100, _bent(0.45, 0.65))),
+    ),
+    Cause(
+        *("friction_asymmetry", "friction", ("direction",)),
+        _alike(0.1, 0.65, _none, _none, _none),
+        signed=True,
+    ),
+    Cause(
+        *("load_dependent_friction", "friction", ("load", "pressure")),
+        (*_alike(0.2, 4, _none, _none), Shape(0.2, 4, _none, ("segment",))),
+    ),
+    Cause(
+        *("thermal_drift", "friction", ("time", "run")),
+        (*_alike(0.2, 2.5, _which, _warming), Shape(0.2, 0.8, _between((1.5, 4)))),
+    ),
+    Cause(
+        *("sensor_bias", "sensing", ("everywhere",)),
+        (*_alike(0.001, 0.05, _markers, _fixed(*[1.0] * JOINTS)), Shape(0.001, 0.05, _one_marker, ("segment",))),
+        signed=True,
+    ),
+    Cause(
+        *("sensor_scale", "sensing", ("everywhere", "angle")),
+        (*_alike(0.02, 0.12, _none, _none), Shape(0.02, 0.3, _none)),
+        signed=True,
+    ),
+    Cause(
+        *("sensor_delay", "sensing", ("rate", "direction", "time")),
+        _alike(0.02, 0.3, _between((0.05, 0.2), (0, 6)), _none, _between((1.5, 4), (0, 4))),
+    ),
+    Cause("sensor_filter", "sensing", ("rate", "time", "direction"), _alike(0.05, 0.8, _none, _none, _none)),
 )
 UNLISTED = (
-    Cause("jammed_joint", None, (), 0.5, 12, _joint),
-    Cause("base_vibration", None, (), 0.03, 0.6, _waves),
-    Cause("buckling_friction", None, (), 1, 30, _between((0.05, 0.09))),
-    Cause("glue_failure", None, (), 0.1, 0.8, _break),
-    Cause("snap_through", None, (), 0.01, 0.5, _between((50, 100))),
-    Cause("hidden_pendulum", None, (), 0.05, 3, _between((5, 11))),
-    Cause("dropout", None, (), 0.1, 1.2, _spells),
-    Cause("camera_wander", None, (), 0.001, 0.05, _seed),
+    Cause("jammed_joint", None, (), _alike(0.5, 12, _joint)),
+    Cause("base_vibration", None, (), _alike(0.03, 0.6, _waves)),
+    Cause("buckling_friction", None, (), _alike(1, 30, _between((0.05, 0.09)))),
+    Cause("glue_failure", None, (), _alike(0.1, 0.8, _break)),
+    Cause("snap_through", None, (), _alike(0.01, 0.5, _between((50, 100)))),
+    Cause("hidden_pendulum", None, (), _alike(0.05, 3, _between((5, 11)))),
+    Cause("dropout", None, (), _alike(0.1, 1.2, _spells)),
+    Cause("camera_wander", None, (), _alike(0.001, 0.05, _seed)),
+    Cause(
+        "draught", None, (), _alike(0.02, 1, _then(_between((0.05, 0.1), (0.1, 0.3), (0.3, 0.6), (0.6, 1.2)), _seed))
+    ),
+    Cause("derailed_tendon", None, (), _alike(0.1, 0.9, _derailed)),
+    Cause("lost_frames", None, (), _alike(0.3, 1.6, _seed)),
 )
 CAUSES = {cause.id: cause for cause in (*LISTED, *UNLISTED)}
-SENSING = ("sensor_bias", "sensor_scale", "sensor_delay", "sensor_filter", "camera_wander")
+SENSING = ("sensor_bias", "sensor_scale", "sensor_delay", "sensor_filter", "camera_wander", "lost_frames")
 BLOCKS = {cause.id: cause.block for cause in LISTED}
 
 

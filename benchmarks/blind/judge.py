@@ -36,6 +36,7 @@ def judge(label: Mapping[str, Any], answer: Mapping[str, Any] | None, errors: Se
         "kind": kind,
         "truth": causes,
         "size": label["size"],
+        "forms": label.get("forms", {}),
         "gap_over_noise": label["gap_over_noise"],
         "attained": reached,
         "columns": label["columns"],
@@ -70,7 +71,7 @@ def judge(label: Mapping[str, Any], answer: Mapping[str, Any] | None, errors: Se
             "found": all(hits),
             "exactly": all(hits) and len(selected) == len(causes),
             "block_right": row["block"] in {BLOCKS[x] for x in right},
-            "axis_right": row["axis"] in {axis for x in right for axis in CAUSES[x].axes},
+            "axis_right": row["axis"] in _axes(right, row["forms"]),
         }
     claimed = answer.get("gap") or {}
     row |= {"closed_claimed": claimed.get("closed_fraction"), "ci95": claimed.get("closed_fraction_ci95")}
@@ -138,6 +139,13 @@ def scoreboard(rows: Sequence[Row], timing: Mapping[str, float] | None) -> dict[
             }
             for kind in sorted({r["kind"] for r in rows})
         },
+        "by_shape": {
+            name: {
+                "cases": len(some := [r for r in effects if any(r["forms"].values()) == further]),
+                **{key: _mean(some, key) for key in ("top_right", "found", "block_right", "axis_right")},
+            }
+            for name, further in (("first", False), ("further", True))
+        },
         "calibration": reliability,
         "confusion": confusion(rows),
         "not_attained": [
@@ -175,6 +183,12 @@ def confusion(rows: Iterable[Row]) -> dict[str, dict[str, int]]:
         said = r["top"][0][0] if r["top"] else "failed"
         out.setdefault(truth, {})[said] = out.get(truth, {}).get(said, 0) + 1
     return out
+
+
+def _axes(right: set[str], forms: Mapping[str, int]) -> set[str]:
+    """That are right for these causes, and for the shapes that were planted."""
+    usual = {axis for x in right for axis in CAUSES[x].axes}
+    return usual.union(*(CAUSES[x].shapes[form].axes for x, form in forms.items()))
 
 
 def _brier(ranked: Sequence[tuple[str, float]], right: set[str]) -> float:

@@ -10,7 +10,7 @@ typedef struct {
 } Robot;
 
 typedef struct { /* the plant's numbers beside MuJoCo's own */
-    double tilt, damping, friction, uneven[N];
+    double tilt, damping, tipward, friction[2], capstan, base_share, added_share, uneven[N];
 } Extra;
 
 static double friction(const Robot *r, double phi, double z, double v, double h, double *slope, double *next) {
@@ -46,11 +46,13 @@ int run(void *model, void *data, const double *robot, const double *extra, int c
         for (int i = 0; i < 2; i++) {
             d->ctrl[i] = u[2 * k + i];
             if (m->na && step == begin) d->act[i] = u[i];
-            m->tendon_frictionloss[i] = calm ? 0 : e->friction * fabs(d->actuator_force[i]);
+            double wrap = e->capstan ? fabs(bend) : 1;
+            m->tendon_frictionloss[i] = calm ? 0 : e->friction[i] * wrap * fabs(d->actuator_force[i]);
         }
         for (int i = 0; i < N; i++) {
             double v = d->qvel[i];
-            m->jnt_stiffness[i] = alpha2 * (1 + e->uneven[i]);
+            double of = alpha2 + e->uneven[i] * (e->base_share * r->c3 + e->added_share * (alpha2 - r->c3));
+            m->jnt_stiffness[i] = fmax(of, 0.05 * alpha2);
             d->qfrc_applied[i] = -r->alpha1 * sin(bend - e->tilt);
             if (calm) {
                 m->dof_damping[i] = 0.3;
@@ -58,7 +60,7 @@ int run(void *model, void *data, const double *robot, const double *extra, int c
             }
             double torque = friction(r, phi, z[i], v, h, &slope, &next);
             d->qfrc_applied[i] -= torque - slope * v;
-            m->dof_damping[i] = slope + e->damping;
+            m->dof_damping[i] = slope + e->damping * (e->tipward ? 0.4 + 0.24 * i : 1);
         }
         mj_step(m, d);
         for (int i = 0; i < N && !calm; i++) {

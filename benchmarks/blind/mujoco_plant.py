@@ -2,7 +2,7 @@
 
 tip_payload is a body, base_tilt turns the gravity vector, contact is a wall beside the tip, tendon_friction is friction
 loss of the tendons, actuator_lag is activation dynamics, viscous_damping is joint damping, nonuniform_stiffness and
-rest_curvature are the joints' springs.
+rest_curvature are the joints' springs. Most of them come in shapes, by the same draws as in the other plant.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import mujoco as _mujoco
 import numpy as np
 
-from benchmarks.blind.plant import JOINTS, Causes, Diverged, Motion, compiled, pointer
+from benchmarks.blind.plant import JOINTS, Causes, Diverged, Motion, compiled, form, pointer
 from benchmarks.recovery.experiments import PERIOD_S, Experiment
 from benchmarks.recovery.robots import CENTRE
 
@@ -32,15 +32,24 @@ def session(truth: Mapping[str, float], causes: Causes, runs: Sequence[Experimen
     substeps = max(1, substeps // 2)  # a step here costs more, and half as many leave 0.001°
     robot = np.array([truth[path] for path in CENTRE])
     value = {name: float(numbers[0]) for name, numbers in causes.items()}
-    uneven = np.zeros(JOINTS)
-    if "nonuniform_stiffness" in causes:
-        uneven = np.maximum(value["nonuniform_stiffness"] * np.array(causes["nonuniform_stiffness"][1:]), -0.95)
+    shape = {name: form(numbers) for name, numbers in causes.items()}
+    uneven, shares = np.zeros(JOINTS), [1.0, 1.0]
+    if d := causes.get("nonuniform_stiffness"):
+        uneven = value["nonuniform_stiffness"] * np.array(d[1 : 1 + JOINTS])
+        shares = shares if shape["nonuniform_stiffness"] == 0 else list(d[7:9])
     tilt, damping, friction = (value.get(x, 0.0) for x in ("base_tilt", "viscous_damping", "tendon_friction"))
-    extra = np.array([tilt, damping, friction, *uneven])
+    capstan, each = float(shape.get("tendon_friction", 0) > 0), [1.0, 1.0]
+    if shape.get("tendon_friction") == 2:
+        each = list(causes["tendon_friction"][1:3])
+    tipward = float(shape.get("viscous_damping") == 2)
+    extra = np.array([tilt, damping, tipward, friction * each[0], friction * each[1], capstan, *shares, *uneven])
     model = mujoco.MjModel.from_xml_string(xml(truth, causes))
     motions = []
     for i, run in enumerate(runs):
         count = len(run.pressure_kpa)
+        if shape.get("base_tilt") == 2:  # mounted anew for each run
+            leaning = tilt * np.random.default_rng([int(causes["base_tilt"][1]), i]).uniform(0.5, 1.5)
+            extra[0], model.opt.gravity[:] = leaning, _gravity(leaning)
         data = mujoco.MjData(model)
         u, vacuum = np.ascontiguousarray(run.tendons), np.ascontiguousarray(run.pressure_kpa)
         q, tension = np.empty((count, JOINTS)), np.empty((count, 2))
@@ -63,7 +72,12 @@ def xml(truth: Mapping[str, float], causes: Causes) -> str:
     """The robot as MJCF: base at the origin, the unbent body along −z, + bends toward +x."""
     half, mass, radius = (truth[f"chain.{x}"] for x in ("half_length_m", "segment_mass_kg", "radius_m"))
     tilt = float(causes["base_tilt"][0]) if "base_tilt" in causes else 0.0
-    body, close = "", ""
+    body, close, limits = "", "", ""
+    stop = causes.get("contact")
+    if stop and form(stop) == 2:  # an end stop in each joint
+        angle = stop[1] * (2.1 - 1.5 * stop[0] / (stop[0] + 10))
+        ends = sorted([stop[2] * angle, -3 * stop[2]])
+        limits = f'limited="true" range="{ends[0]:.9g} {ends[1]:.9g}" solreflimit="0.02 1"'
     for i in range(JOINTS):
         share = 1.0 if i < JOINTS - 1 else 0.5
         length, own = 2 * half * share, mass * share
@@ -71,36 +85,48 @@ def xml(truth: Mapping[str, float], causes: Causes) -> str:
         rest = causes["rest_curvature"][0] * causes["rest_curvature"][1 + i] if "rest_curvature" in causes else 0.0
         body += (
             f'<body pos="0 0 {-2 * half * (i > 0):.9g}" gravcomp="1"><joint name="j{i}" type="hinge" axis="0 -1 0" '
-            f'stiffness="1" damping="1" springref="{rest:.9g}"/><inertial pos="0 0 {-length / 2:.9g}" mass="{own:.9g}" '
+            f'stiffness="1" damping="1" springref="{rest:.9g}" {limits}/>'
+            f'<inertial pos="0 0 {-length / 2:.9g}" mass="{own:.9g}" '
             f'diaginertia="{across:.9g} {across:.9g} {along:.9g}"/>'
         )
         close += "</body>"
     if "tip_payload" in causes:
         grams, beyond, aside = causes["tip_payload"][:3]
+        solid = 'type="sphere" size="0.01"'
+        if form(causes["tip_payload"]) == 2:
+            solid = f'type="box" size="0.01 0.01 {beyond:.9g}"'
         body += (
-            f'<body pos="{aside:.9g} 0 {-half - beyond:.9g}"><geom type="sphere" size="0.01" mass="{grams:.9g}" '
+            f'<body pos="{aside:.9g} 0 {-half - beyond:.9g}"><geom {solid} mass="{grams:.9g}" '
             'contype="0" conaffinity="0"/></body>'
         )
     wall = ""
-    if "contact" in causes:
-        strength, where, side = causes["contact"][:3]
+    if stop and not limits:
+        strength, where, side = stop[:3]
+        soft = "0.01 1" if form(stop) == 0 else "0.04 0.7"
         away = where * (2.1 - 1.5 * strength / (strength + 1000))  # stronger is nearer
         body += f'<geom type="sphere" size="0.002" pos="0 0 {-half:.9g}" mass="1e-9" conaffinity="2" contype="1"/>'
         wall = (
             f'<geom type="plane" size="1 1 1" pos="{side * (away + 0.002):.9g} 0 0" zaxis="{-side:.9g} 0 0" '
-            'contype="2" conaffinity="1" condim="1" solref="0.01 1"/>'
+            f'contype="2" conaffinity="1" condim="1" solref="{soft}"/>'
         )
-    lag = f'dyntype="filterexact" dynprm="{causes["actuator_lag"][0]:.9g}"' if "actuator_lag" in causes else ""
+    lags = [causes["actuator_lag"][0]] * 2 if "actuator_lag" in causes else []
+    if lags and form(causes["actuator_lag"]) == 2:
+        lags[1] *= 0.2
     tendons, motors = "", ""
-    for name, way in (("left", 1), ("right", -1)):
+    for k, (name, way) in enumerate((("left", 1), ("right", -1))):
         lines = "".join(f'<joint joint="j{i}" coef="{way * truth["chain.lever_arm_m"]:.9g}"/>' for i in range(JOINTS))
         tendons += f'<fixed name="{name}" frictionloss="1e-9" solreffriction="0.002 1">{lines}</fixed>'
+        lag = f'dyntype="filterexact" dynprm="{lags[k]:.9g}"' if lags else ""
         motors += f'<general tendon="{name}" {lag} gainprm="1"/>'
     return (
-        f'<mujoco><option gravity="{9.81 * np.sin(tilt):.9g} 0 {-9.81 * np.cos(tilt):.9g}" integrator="implicitfast" '
+        f'<mujoco><option gravity="{" ".join(f"{x:.9g}" for x in _gravity(tilt))}" integrator="implicitfast" '
         f'iterations="50" tolerance="1e-10"/><compiler angle="radian"/><worldbody>{wall}{body}{close}</worldbody>'
         f"<tendon>{tendons}</tendon><actuator>{motors}</actuator></mujoco>"
     )
+
+
+def _gravity(tilt: float) -> list[float]:
+    return [9.81 * float(np.sin(tilt)), 0.0, -9.81 * float(np.cos(tilt))]
 
 
 @cache

@@ -1,8 +1,9 @@
 /* The robot of docs/model.md with the causes of gaps built in, written apart from ljjax.
 
    Absolute angles psi_i = q_1 + ... + q_i and an implicit midpoint for (v, z) between two half-steps of q.
-   Every cause has a row f[ID] of WIDTH numbers; f[ID][0] is its strength, 0 when it is not there. SI units; kPa. */
-#include "plant.h"
+   Every cause has a row f[ID] of WIDTH numbers; f[ID][0] is its strength, 0 when it is not there, the last one which of
+   its shapes it has. SI units; kPa. */
+#include "shapes.h"
 
 /* Cholesky of the symmetric positive definite a, b solved in place. */
 static void solve(double a[N][N], double b[N]) {
@@ -51,17 +52,16 @@ int run(const double *robot, const double *causes, double *carried, int count, c
     if (payload > 0) {
         for (int a = 0; a < N; a++)
             for (int b = 0; b < N; b++) inertia[a][b] += payload * arm[a] * arm[b];
-        inertia[N - 1][N - 1] += 0.4 * payload * 0.015 * 0.015;
+        inertia[N - 1][N - 1] += 0.4 * payload * f[TIP_PAYLOAD][3] * f[TIP_PAYLOAD][3];
     }
     double spread = f[GRAVITY_DISTRIBUTION][0], cosine = spread > 1 ? 0 : 1 - spread;
-    double creep_time[4] = {0.25, 1.2, 6, 30}, creep_share[4] = {0.4, 0.3, 0.2, 0.1};
-    double play_width[PLAYS] = {0.01, 0.03, 0.07, 0.14}, play_share[PLAYS] = {0.4, 0.28, 0.2, 0.12};
-
     for (int i = 0; i < 2; i++) {
         s.tension[i] = s.first[i] = s.slack[i][0] = s.slack[i][1] = u[i];
+        if (form(f[TENDON_SLACK]) == 2) s.slack[i][0] = u[i] < 0.8 ? 1e-3 * f[TENDON_SLACK][0] : 0;
         s.breakaway[i] = u[i] > f[ACTUATOR_DEADBAND][0];
     }
-    s.sheath = s.line = vacuum[0];
+    s.sheath = s.line = s.feed = s.fore = s.deep = vacuum[0];
+    s.session = session;
     int settle = f[REST_CURVATURE][0] != 0 || f[BASE_TILT][0] != 0 || payload > 0;
     actuate(f, &s, u, count, 0, period, 0, r->lever);
     double h = period / substeps, half = h / 2;
@@ -73,7 +73,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         if (step == 0) {
             for (int i = 0; i < N; i++) {
                 s.v[i] = s.omega_mid[i] = s.z[i] = s.guide[i] = 0;
-                for (int k = 0; k < PLAYS; k++) s.play[i][k] = s.q[i];
+                for (int k = 0; k < PLAYS; k++) s.play[i][k] = form(f[LAYER_HYSTERESIS]) == 0 ? s.q[i] : 0;
                 for (int k = 0; k < 4; k++) s.branch[i][k] = s.q[i];
                 s.pendulum += s.q[i];
             }
@@ -87,7 +87,15 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         actuate(f, &s, u, count, calm ? 0 : middle, period, h, r->lever);
         pressurise(f, &s, held(vacuum, count, 1, calm ? 0 : middle, period), calm ? 0 : h);
         double pull[2];
-        for (int i = 0; i < 2; i++) pull[i] = past_slack(f[TENDON_SLACK], s.slack[i], s.tension[i]);
+        for (int i = 0; i < 2; i++) pull[i] = past_slack(f[TENDON_SLACK], s.slack[i], s.tension[i], h);
+        if (f[DERAILED_TENDON][0] > 0) { /* out of its guides beyond one angle, back in them within another */
+            int which = (int)f[DERAILED_TENDON][1];
+            double bent = 0;
+            for (int i = 0; i < N; i++) bent += (which ? -1 : 1) * s.q[i] / N / f[DERAILED_TENDON][2];
+            if (bent > 1) s.derailed = 1;
+            if (bent < 0.4) s.derailed = 0;
+            pull[which] *= 1 - f[DERAILED_TENDON][0] * s.derailed;
+        }
         double P = s.sheath, heat = (s.tension[0] + s.tension[1]) / 25 + 0.4;
         if (!calm) {
             c->warm += h * (heat * 0.12 - c->warm / 260);
@@ -95,19 +103,13 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         }
 
         /* The pressure's laws. */
-        double knee = f[STIFFNESS_SATURATION][0], stiff = P, rub = P;
-        if (knee > 0) stiff = P / cbrt(1 + pow(knee * P / 20, 3));
+        double stiff = stiffening(f[STIFFNESS_SATURATION], P), phi = rubbing(r, f[FRICTION_SATURATION], P), fresh = phi;
         double alpha2 = r->c3 + r->c2 * stiff + r->c1 * stiff * stiff, added = alpha2 - r->c3;
-        knee = f[FRICTION_SATURATION][0];
-        if (knee > 0) rub = 20 / knee * tanh(knee * P / 20);
-        double phi = r->c4 + r->c5 * sqrt(rub), warmth = c->warm / 10;
-        if (f[THERMAL_DRIFT][0] > 0) {
-            double share = exp(-f[THERMAL_DRIFT][0] * warmth * sqrt(1 + warmth));
-            if (f[THERMAL_DRIFT][1] < 0.5) phi *= share; else alpha2 *= share, added *= share;
-        }
+        warmed(f[THERMAL_DRIFT], c->warm, &phi, &alpha2, &added);
         if (f[GLUE_FAILURE][0] > 0 && session + t > f[GLUE_FAILURE][1]) alpha2 *= 1 - f[GLUE_FAILURE][0];
         double load = pull[0] + pull[1];
-        if (f[LOAD_DEPENDENT_FRICTION][0] > 0) phi += f[LOAD_DEPENDENT_FRICTION][0] * pow(load + 1e-3, 0.75);
+        const double *pressed = f[LOAD_DEPENDENT_FRICTION];
+        if (pressed[0] > 0 && form(pressed) < 2) phi += pressed[0] * (form(pressed) ? load : pow(load + 1e-3, 0.75));
 
         /* Half a step of q, and what depends on q. */
         double psi[N], cosp[N], sinp[N], bend = 0, torque[N], phi_i[N], extra[N], asymmetry[N], around[N];
@@ -119,46 +121,52 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         double left[N], right[N], a = pull[0], b = pull[1], slide[N], beyond = 0;
         for (int i = N - 1; i >= 0; i--) slide[i] = beyond += s.v[i];
         for (int i = 0; i < N; i++) {
-            if (f[TENDON_FRICTION][0] > 0) {
-                double rate = r->lever * slide[i], wrap = fabs(s.q[i]) + f[TENDON_FRICTION][1];
-                if (!calm) s.guide[i] = (s.guide[i] + h * rate / 1e-4) / (1 + h * fabs(rate) / 1e-4);
-                double loss = f[TENDON_FRICTION][0] * wrap * (s.guide[i] + 0.8 * rate);
-                a *= 1 - loss, b *= 1 + loss;
+            const double *t = f[TENDON_FRICTION];
+            if (t[0] > 0) {
+                double still[1] = {0}, *guide = calm ? still : &s.guide[i];
+                double loss = rubbed(t, guide, s.q[i], calm ? 0 : r->lever * slide[form(t) == 1 ? 0 : i], h);
+                switch (form(t)) {
+                case 0: a *= 1 - loss, b *= 1 + loss; break;
+                case 1: a *= exp(-loss), b *= exp(loss); break;
+                default: a *= 1 - t[1] * loss, b *= 1 + t[2] * loss;
+                }
             }
             left[i] = a, right[i] = b;
         }
         for (int i = 0; i < N; i++) {
             double q = s.q[i], of = alpha2;
             if (f[NONUNIFORM_STIFFNESS][0] > 0) {
-                double d = f[NONUNIFORM_STIFFNESS][0] * f[NONUNIFORM_STIFFNESS][1 + i];
-                of += d * (alpha2 - added) + 0.6 * d * added;
+                const double *d = f[NONUNIFORM_STIFFNESS];
+                of += d[0] * d[1 + i] * (d[7] * (alpha2 - added) + d[8] * added);
                 if (of < 0.05 * alpha2) of = 0.05 * alpha2;
             }
             double free = f[REST_CURVATURE][0] * f[REST_CURVATURE][1 + i];
-            torque[i] = of * (q - free) - r->lever * (left[i] - right[i]);
-            if (f[STIFFNESS_HARDENING][0] != 0) torque[i] += f[STIFFNESS_HARDENING][0] * q * fabs(q);
+            double sprung = form(f[REST_CURVATURE]) == 2 ? r->c3 : of;
+            torque[i] = of * q - sprung * free - r->lever * (left[i] - right[i]);
+            if (f[STIFFNESS_HARDENING][0] != 0) torque[i] += hardened(f[STIFFNESS_HARDENING], q, alpha2 / r->c3);
+            if (f[CONTACT][0] > 0 && form(f[CONTACT]) == 2) { /* an end stop in the joint */
+                double soft = 0.004, x = (f[CONTACT][2] * q - f[CONTACT][1]) / soft;
+                torque[i] += f[CONTACT][0] * f[CONTACT][2] * soft * (x > 30 ? x : log1p(exp(x)));
+            }
             if (f[SNAP_THROUGH][0] > 0)
                 torque[i] -= f[SNAP_THROUGH][0] * sin(f[SNAP_THROUGH][1] * q);
-            if (f[LAYER_HYSTERESIS][0] > 0 && !calm) {
-                double x = 0.25 * tanh(q / 0.25), sum = 0;
-                for (int k = 0; k < PLAYS; k++) {
-                    s.play[i][k] = clamp(s.play[i][k], x - play_width[k], x + play_width[k]);
-                    sum += play_share[k] * (x - s.play[i][k]) / play_width[k];
-                }
-                torque[i] += f[LAYER_HYSTERESIS][0] * sum * (0.35 + P / 25);
-            }
+            if (f[LAYER_HYSTERESIS][0] > 0 && !calm)
+                torque[i] += f[LAYER_HYSTERESIS][0] * remembered(f[LAYER_HYSTERESIS], s.play[i], q, h * s.v[i], P);
             if (f[VISCOELASTIC_CREEP][0] > 0 && !calm)
-                for (int k = 0; k < 4; k++) {
-                    s.branch[i][k] += h * (q - s.branch[i][k]) / creep_time[k];
-                    torque[i] += f[VISCOELASTIC_CREEP][0] * creep_share[k] * (q - s.branch[i][k]);
-                }
+                torque[i] += f[VISCOELASTIC_CREEP][0] * crept(f[VISCOELASTIC_CREEP], s.branch[i], q, h);
             if (f[BASE_VIBRATION][0] > 0)
                 torque[i] -= f[BASE_VIBRATION][0] * (N - i) / N *
-                             sin(6.283185307 * f[BASE_VIBRATION][1] * (session + t) + f[BASE_VIBRATION][2]);
+                             sin(TURN * f[BASE_VIBRATION][1] * (session + t) + f[BASE_VIBRATION][2]);
             phi_i[i] = phi;
+            if (pressed[0] > 0 && form(pressed) == 2)
+                phi_i[i] += pressed[0] * 10 * load / (load + 10) * (1.5 - 0.2 * i);
             if (f[LAYER_WEAR][0] > 0) {
-                double x = pow(c->slip[i] / f[LAYER_WEAR][1], 0.8);
-                phi_i[i] *= 1 - f[LAYER_WEAR][0] * x / (1 + x);
+                double slid = c->slip[i] / f[LAYER_WEAR][1], x = pow(slid, 0.8);
+                switch (form(f[LAYER_WEAR])) {
+                case 0: phi_i[i] *= 1 - f[LAYER_WEAR][0] * x / (1 + x); break;
+                case 1: phi_i[i] *= 1 + f[LAYER_WEAR][0] * expm1(-slid); break;
+                default: phi_i[i] /= 1 + f[LAYER_WEAR][0] * log1p(slid);
+                }
             }
             if (f[JAMMED_JOINT][0] > 0 && i == (int)f[JAMMED_JOINT][1])
                 phi_i[i] *= 1 + f[JAMMED_JOINT][0] * (1 + sin(q / 0.05 + f[JAMMED_JOINT][2]));
@@ -168,12 +176,15 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             }
             asymmetry[i] = 1;
             if (f[FRICTION_ASYMMETRY][0] != 0)
-                asymmetry[i] += f[FRICTION_ASYMMETRY][0] * tanh(q / 0.02) * tanh(s.v[i] / 0.01);
+                asymmetry[i] += lopsided(f[FRICTION_ASYMMETRY], &s.loading[i], q, s.v[i], calm ? 0 : h);
             extra[i] = calm ? 0.3 : 0;
         }
         /* In absolute angles: gravity, Coriolis, contact at the tip. */
         double tilt = f[BASE_TILT][0], depth = -f[CONTACT][1], slip = 0, rate[N], sum = 0;
-        double tipward = r->alpha1 * (sinp[N - 1] * cos(tilt) - cosp[N - 1] * sin(tilt) * (1 + 0.15 * sinp[N - 1])) * cosine;
+        double uneven = form(f[BASE_TILT]) == 0 ? 0.15 : 0;
+        if (form(f[BASE_TILT]) == 2) tilt *= 0.5 + chance(session + f[BASE_TILT][1]); /* mounted anew for each run */
+        double tipward = r->alpha1 * cosine;
+        tipward *= sinp[N - 1] * cos(tilt) - cosp[N - 1] * sin(tilt) * (1 + uneven * sinp[N - 1]);
         for (int i = 0; i < N; i++) {
             rate[i] = sum += s.v[i];
             depth += f[CONTACT][2] * length[i] * sinp[i];
@@ -181,8 +192,14 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         }
         double push = 0;
         if (f[CONTACT][0] > 0 && depth > 0) {
-            push = f[CONTACT][0] * depth * sqrt(depth) * clamp(1 + 3 * slip, 0, 3);
+            if (form(f[CONTACT]) == 0) push = f[CONTACT][0] * depth * sqrt(depth) * clamp(1 + 3 * slip, 0, 3);
+            if (form(f[CONTACT]) == 1) push = f[CONTACT][0] * depth;
         }
+        double blown = 0;
+        const double *air = f[DRAUGHT];
+        if (air[0] > 0 && !calm)
+            for (int k = 1; k < 5; k++)
+                blown += air[0] * tanh(t) * sin(TURN * (air[k] * t + chance(air[5] + session + k)));
         if (f[HIDDEN_PENDULUM][0] > 0 && !calm) {
             double w = f[HIDDEN_PENDULUM][1];
             s.pendulum_rate += h * (w * w * (psi[N - 1] - s.pendulum) - 0.12 * w * s.pendulum_rate);
@@ -197,12 +214,12 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 mass[i][j] = inertia[i][j] * cosine_ij / half;
                 spun += inertia[i][j] * (sinp[i] * cosp[j] - cosp[i] * sinp[j]) * s.omega_mid[j] * s.omega_mid[j];
             }
-            around[i] = spun + (i == N - 1 ? tipward : 0) + f[CONTACT][2] * push * length[i] * cosp[i];
+            around[i] = spun + (i == N - 1 ? tipward : 0) + (f[CONTACT][2] * push - blown) * length[i] * cosp[i];
             if (payload > 0) {
                 around[i] += payload * 9.81 * arm[i] * sinp[i];
                 if (i == N - 1) around[i] += payload * 9.81 * f[TIP_PAYLOAD][2] * cosp[i];
             }
-            if (spread > 0) around[i] += spread * weight[i] * (1 - 0.12 * (i - 2.5)) * sinp[i];
+            if (spread > 0) around[i] += spread * weight[i] * f[GRAVITY_DISTRIBUTION][1 + i] * sinp[i];
         }
 
         /* Newton for the velocity at mid-step. */
@@ -228,11 +245,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                     d_z[i] = half * (1 - slope * mid_z[i]) / scale;
                     tau[i] = torque[i] + phi_i[i] * ((1 + memory) * mid_z[i] - memory * s.z[i] + r->sigma2 * v);
                     d_tau[i] = phi_i[i] * ((1 + memory) * d_z[i] + r->sigma2);
-                    if (f[VISCOUS_DAMPING][0] > 0) {
-                        double v0 = 0.25;
-                        tau[i] += f[VISCOUS_DAMPING][0] * v0 * asinh(v / v0);
-                        d_tau[i] += f[VISCOUS_DAMPING][0] / sqrt(1 + v * v / (v0 * v0));
-                    }
+                    if (f[VISCOUS_DAMPING][0] > 0) tau[i] += damped(f[VISCOUS_DAMPING], i, v, &d_tau[i]);
                 }
                 relative += mid[i] - s.v[i];
                 gain[i] = relative;
@@ -262,7 +275,8 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             s.v[i] = 2 * mid[i] - s.v[i];
             s.z[i] = calm ? 0 : 2 * mid_z[i] - s.z[i];
             s.q[i] += half * s.v[i];
-            if (!calm) c->slip[i] += h * fabs(mid[i]);
+            double pressing = form(f[LAYER_WEAR]) == 2 ? fresh / (r->c4 + r->c5 * sqrt(20)) : 1;
+            if (!calm) c->slip[i] += h * fabs(mid[i]) * pressing;
             if (!(fabs(s.q[i]) < 3)) return 1;
         }
     }

@@ -5,6 +5,7 @@
 #define N 6
 #define WIDTH 10
 #define PLAYS 4
+#define TURN 6.283185307
 
 enum { /* the order of causes.py */
     TENDON_FRICTION, TENDON_SLACK, ACTUATOR_LAG, ACTUATOR_DELAY, ACTUATOR_DEADBAND, ACTUATOR_GAIN, ACTUATOR_RIPPLE,
@@ -12,7 +13,7 @@ enum { /* the order of causes.py */
     LAYER_HYSTERESIS, LAYER_WEAR, VISCOELASTIC_CREEP, VISCOUS_DAMPING, STIFFNESS_HARDENING, REST_CURVATURE, BASE_TILT,
     TIP_PAYLOAD, GRAVITY_DISTRIBUTION, NONUNIFORM_STIFFNESS, CONTACT, FRICTION_ASYMMETRY, LOAD_DEPENDENT_FRICTION,
     THERMAL_DRIFT, JAMMED_JOINT, BASE_VIBRATION, BUCKLING_FRICTION, GLUE_FAILURE, SNAP_THROUGH, HIDDEN_PENDULUM,
-    DROPOUT, CAUSES
+    DROPOUT, DRAUGHT, DERAILED_TENDON, CAUSES
 };
 
 typedef struct {
@@ -24,13 +25,24 @@ typedef struct { double slip[N], warm, felt; } Carried;
 
 typedef struct {
     double q[N], v[N], z[N], omega_mid[N];
-    double first[2], tension[2], breakaway[2], slack[2][2], guide[N]; /* actuation */
-    double line, sheath, seal;                                        /* pressure */
-    double play[N][PLAYS], branch[N][4], pendulum, pendulum_rate;     /* structure */
+    double first[2], tension[2], surge[2], breakaway[2], hot[2], slack[2][2], guide[N], derailed; /* actuation */
+    double line, feed, fore, deep, sheath, seal;                                                  /* pressure */
+    double play[N][PLAYS], branch[N][4], loading[N], pendulum, pendulum_rate;                     /* structure */
+    double session;
 } State;
 
 static double clamp(double x, double low, double high) { return x < low ? low : x > high ? high : x; }
 static double sign(double x) { return (x > 0) - (x < 0); }
+/* Which of its shapes a cause has. */
+static int form(const double *f) { return (int)f[WIDTH - 1]; }
+
+/* In [0, 1), the same for the same number. */
+static double chance(double key) {
+    unsigned x = (unsigned)(long)floor(key) * 2654435761u + 374761393u;
+    x = (x ^ x >> 15) * 2246822519u;
+    x = (x ^ x >> 13) * 3266489917u;
+    return (x ^ x >> 16) / 4294967296.0;
+}
 
 /* Command i at time t [s], held. */
 static double held(const double *x, int count, int stride, double t, double period) {
@@ -38,79 +50,139 @@ static double held(const double *x, int count, int stride, double t, double peri
     return x[stride * (k < 0 ? 0 : k >= count ? count - 1 : k)];
 }
 
+/* When the command was given that arrives at time t [s]. */
+static double given(const double *f, double session, double t) {
+    double late = f[0];
+    if (late <= 0) return t;
+    if (form(f) == 0) late *= 1 + 0.25 * sin(TURN * f[1] * t + f[2]);
+    if (form(f) < 2) return t - late;
+    double every = 0.7 * late, k = floor(t / every); /* packets, on their way for different times */
+    while (k * every + late * (0.35 + 0.6 * chance(k + 7919 * session + f[1])) > t) k--;
+    return k * every;
+}
+
+static double saturated(const double *f, double *hot, double x, double h) {
+    double top = f[1] * (1 - f[0]);
+    if (form(f) == 0) return x > top ? top + 0.04 * (x - top) : x;
+    if (form(f) == 1) return x / pow(1 + pow(x / top, 6), 1 / 6.0);
+    *hot += h * ((x > top) - *hot) / f[2];
+    return fmin(x, top + (f[1] - top) * (1 - *hot));
+}
+
+static double past_deadband(const double *f, double *breakaway, double x, int i) {
+    double d = f[0];
+    if (form(f) == 1) return x > d ? x - d : 0;
+    if (form(f) == 2) return hypot(x, d * f[1 + i]) - d * f[1 + i];
+    if (x > d) *breakaway = 1;
+    if (x < 0.75 * d) *breakaway = 0;
+    return *breakaway ? x - 0.75 * d : 0;
+}
+
+/* Tension after the current loop; s->tension is its state. */
+static double lagged(const double *f, State *s, double x, int i, double h) {
+    double slow = f[0], quick = 0.35 * slow;
+    if (form(f) == 0) {
+        s->first[i] += (x - s->first[i]) * -expm1(-h / quick);
+        return s->tension[i] + h * clamp((s->first[i] - s->tension[i]) / slow, -400, 400);
+    }
+    if (form(f) == 1) return s->tension[i] + (x - s->tension[i]) * -expm1(-h / slow);
+    double w = 1 / fmax(slow, 3 * h);
+    s->surge[i] += h * w * (w * (x - s->tension[i]) - 2 * f[1] * s->surge[i]);
+    return s->tension[i] + h * s->surge[i];
+}
+
 /* From commands to what leaves the spools: s->tension [N]. */
 static void actuate(const double f[][WIDTH], State *s, const double *u, int count, double t, double period, double h,
                     double lever) {
     double bend = 0;
     for (int i = 0; i < N; i++) bend += s->q[i];
-    double late = f[ACTUATOR_DELAY][0];
-    if (late > 0) late *= 1 + 0.25 * sin(6.283185307 * f[ACTUATOR_DELAY][1] * t + f[ACTUATOR_DELAY][2]);
+    double at = given(f[ACTUATOR_DELAY], s->session, t);
     for (int i = 0; i < 2; i++) {
-        double x = held(u + i, count, 2, t - late, period);
+        double x = held(u + i, count, 2, at, period), wound = (i ? -1 : 1) * lever * bend;
         if (f[DROPOUT][0] > 0) /* a loose plug: three spells a run */
             for (int k = 1; k < 4; k++)
                 if (t > f[DROPOUT][k] && t < f[DROPOUT][k] + f[DROPOUT][0]) x *= 0.3;
-        if (f[ACTUATOR_SATURATION][0] > 0) {
-            double top = f[ACTUATOR_SATURATION][1] * (1 - f[ACTUATOR_SATURATION][0]);
-            if (x > top) x = top + 0.04 * (x - top);
-        }
-        if (f[ACTUATOR_DEADBAND][0] > 0) {
-            double d = f[ACTUATOR_DEADBAND][0];
-            if (x > d) s->breakaway[i] = 1;
-            if (x < 0.75 * d) s->breakaway[i] = 0;
-            x = s->breakaway[i] ? x - 0.75 * d : 0;
-        }
+        if (f[ACTUATOR_SATURATION][0] > 0) x = saturated(f[ACTUATOR_SATURATION], &s->hot[i], x, h);
+        if (f[ACTUATOR_DEADBAND][0] > 0) x = past_deadband(f[ACTUATOR_DEADBAND], &s->breakaway[i], x, i);
         double e = f[ACTUATOR_GAIN][0] * f[ACTUATOR_GAIN][1 + i];
-        x *= 1 + e * (1 - 0.1 * tanh(x / 15));
-        if (f[ACTUATOR_LAG][0] > 0) {
-            double slow = f[ACTUATOR_LAG][0], quick = 0.35 * slow;
-            s->first[i] += (x - s->first[i]) * -expm1(-h / quick);
-            double rate = clamp((s->first[i] - s->tension[i]) / slow, -400, 400);
-            s->tension[i] += h * rate;
-            x = s->tension[i];
+        switch (form(f[ACTUATOR_GAIN])) {
+        case 0: x *= 1 + e * (1 - 0.1 * tanh(x / 15)); break;
+        case 1: x *= 1 + e; break;
+        default: x /= fmax(0.3, 1 + f[ACTUATOR_GAIN][0] * wound / 0.02); /* the spool grows as it winds */
         }
+        if (f[ACTUATOR_LAG][0] > 0) x = s->tension[i] = lagged(f[ACTUATOR_LAG], s, x, i, h);
         if (f[ACTUATOR_RIPPLE][0] != 0) {
             const double *p = f[ACTUATOR_RIPPLE];
-            double angle = ((i ? -1 : 1) * lever * bend + x / p[1]) / p[2], teeth = p[3];
-            double wave = sin(teeth * angle + p[4 + i]) + 0.45 * sin(2 * teeth * angle + p[6 + i]);
-            x += p[0] * wave * x / (x + 2);
+            double angle = (wound + x / p[1]) / p[2], teeth = p[3];
+            double wave = sin(teeth * angle + p[4 + i]);
+            if (form(p) == 0)
+                x += p[0] * (wave + 0.45 * sin(2 * teeth * angle + p[6 + i])) * x / (x + 2);
+            else if (form(p) == 1)
+                x += p[0] * wave;
+            else
+                x *= 1 + p[0] / 10 * (1.5 * (fabs(wave) - 0.64) + 0.5 * sin(angle + p[6 + i]));
         }
         s->tension[i] = x > 0 ? x : 0;
     }
 }
 
-/* What reaches the first guide: a pair of plays, side by side. */
-static double past_slack(const double *f, double state[2], double x) {
+/* What reaches the first guide: a pair of plays side by side, one play, or cable that a released spool has paid out. */
+static double past_slack(const double *f, double state[2], double x, double h) {
     if (f[0] <= 0) return x;
+    if (form(f) == 2) {
+        double all = 1e-3 * f[0], wind = 1e-3 * f[1];
+        state[0] = clamp(state[0] + h * wind * (0.8 - x) / (0.8 + x), 0, all);
+        return x * (1 - tanh(state[0] / 4e-4));
+    }
     double width[2] = {f[0], 0.45 * f[0]}, out = 0;
     for (int k = 0; k < 2; k++) {
         state[k] = clamp(state[k], x - width[k], x + width[k]);
         out += (k ? 0.35 : 0.65) * state[k];
     }
-    out = 0.06 * x + 0.94 * out;
+    out = form(f) == 0 ? 0.06 * x + 0.94 * out : state[0];
     return out > 0 ? out : 0;
+}
+
+/* What the sheath follows the line with, h on. */
+static double filled(const double *f, State *s, double inside, double h) {
+    double drop = inside - s->sheath, time = f[0] * (drop > 0 ? 1 : f[1]);
+    if (form(f) == 0) /* through an orifice: as the root of the drop */
+        return s->sheath + h * 5 * drop / sqrt(fabs(drop) * 5 + 4) / time;
+    if (form(f) == 1) return s->sheath + drop * -expm1(-h / time);
+    s->feed += (inside - s->feed) * -expm1(-h / (0.5 * time));
+    s->fore += (s->feed - s->fore) * -expm1(-h / (0.5 * time));
+    s->deep += (s->fore - s->deep) * -expm1(-h / (4 * time));
+    return 0.75 * s->fore + 0.25 * s->deep;
+}
+
+/* What a leak leaves of the vacuum. */
+static double leaked(const double *f, State *s, double p, double h) {
+    if (form(f) == 0) {
+        s->seal += h * (p / 40 * (1 - s->seal) / f[1] - s->seal / f[2] * (p < 1));
+        double a = f[0] * s->seal, root = 0.5 * (sqrt(a * a + 4 * p) - a);
+        return root * root;
+    }
+    if (form(f) == 1) { /* less and less is held until it is vented */
+        s->seal += h * ((p > 1) - s->seal) / (p > 1 ? f[1] : 0.5);
+        return p * (1 - f[0] * s->seal);
+    }
+    double bend = 0, open; /* folds open where it is bent */
+    for (int i = 0; i < N; i++) bend += s->q[i] * s->q[i] / N / 0.0144;
+    open = bend / (1 + bend);
+    s->seal += h * (open - s->seal) / f[1];
+    return p / (1 + f[0] * s->seal);
 }
 
 /* Vacuum in the line and in the sheath [kPa] from the commanded one. */
 static void pressurise(const double f[][WIDTH], State *s, double commanded, double h) {
     s->line = commanded;
-    double inside = commanded;
-    if (f[PRESSURE_BIAS][0] != 0) {
-        double b = f[PRESSURE_BIAS][0];
-        inside += b * (1 + 0.2 * tanh((commanded - 20) / 12));
+    double inside = commanded, b = f[PRESSURE_BIAS][0];
+    switch (form(f[PRESSURE_BIAS])) {
+    case 0: inside += b * (1 + 0.2 * tanh((commanded - 20) / 12)); break;
+    case 1: inside += b; break;
+    default: inside += b * (1 - exp(-commanded / 4));
     }
-    if (f[PRESSURE_LAG][0] > 0) {
-        double drop = inside - s->sheath, time = f[PRESSURE_LAG][0] * (drop > 0 ? 1 : f[PRESSURE_LAG][1]);
-        double flow = 5 * drop / sqrt(fabs(drop) * 5 + 4); /* through an orifice: as the root of the drop */
-        s->sheath += h * flow / time;
-        inside = s->sheath;
-    }
-    if (f[PRESSURE_LEAK][0] > 0) {
-        double p = inside > 0 ? inside : 0, a;
-        s->seal += h * (p / 40 * (1 - s->seal) / f[PRESSURE_LEAK][1] - s->seal / f[PRESSURE_LEAK][2] * (p < 1));
-        a = f[PRESSURE_LEAK][0] * s->seal;
-        double root = 0.5 * (sqrt(a * a + 4 * p) - a);
-        inside = root * root;
-    }
+    if (f[PRESSURE_LAG][0] > 0) inside = s->sheath = filled(f[PRESSURE_LAG], s, inside, h);
+    if (f[PRESSURE_LEAK][0] > 0) inside = leaked(f[PRESSURE_LEAK], s, inside > 0 ? inside : 0, h);
     s->sheath = inside > 0 ? inside : 0;
 }

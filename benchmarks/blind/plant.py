@@ -22,16 +22,18 @@ IDS = (
     *("viscous_damping", "stiffness_hardening", "rest_curvature", "base_tilt", "tip_payload", "gravity_distribution"),
     *("nonuniform_stiffness", "contact", "friction_asymmetry", "load_dependent_friction", "thermal_drift"),
     *("jammed_joint", "base_vibration", "buckling_friction", "glue_failure", "snap_through", "hidden_pendulum"),
-    "dropout",
+    *("dropout", "draught", "derailed_tendon"),
 )
 """The causes that act in the plant, in the order of `plant.c`."""
 WIDTH = 10
+FORM = WIDTH - 1
+"""Where a cause's numbers say which of its shapes it has."""
 JOINTS = 6
 APART_S = 75.0
 """From the start of one run to the start of the next."""
 SUBSTEPS = 20
 Causes = Mapping[str, Sequence[float]]
-"""Numbers by cause, the strength first; a cause that is not there is left out."""
+"""Numbers by cause, the strength first; a cause that is not there is left out. Short rows: the first shape."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,11 @@ Session = Callable[[Mapping[str, float], Causes, Sequence[Experiment], int], lis
 
 class Diverged(ArithmeticError):
     """The motion left what a robot can do."""
+
+
+def form(numbers: Sequence[float]) -> int:
+    """Which of its shapes a cause of these numbers has."""
+    return int(numbers[FORM]) if len(numbers) > FORM else 0
 
 
 def compiled(source: str, flags: Sequence[str] = (), link: Sequence[str] = ()) -> ctypes.CDLL:

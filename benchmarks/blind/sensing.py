@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.blind.plant import Causes, Motion
+from benchmarks.blind.plant import Causes, Motion, form
 from benchmarks.recovery.experiments import PERIOD_S, Array
 
 JOINT_SD_RAD = np.radians(0.047)
@@ -25,22 +25,35 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
     t = np.arange(len(q)) * PERIOD_S
     at = t[::SHAPE_EVERY]
     if f := causes.get("sensor_filter"):
-        q = _averaged(q, f[0])
+        q = (_averaged, _smoothed, _exposed)[form(f)](q, f[0])
     if f := causes.get("sensor_delay"):
-        late = f[0] * (1 + 0.15 * np.sin(2 * np.pi * f[1] * at + f[2]))
+        late = f[0] * np.ones(len(at))
+        if form(f) == 0:
+            late *= 1 + 0.15 * np.sin(2 * np.pi * f[1] * at + f[2])
+        elif form(f) == 2:  # frames queue up until the queue is emptied
+            late *= 0.5 + (at + f[2]) / f[1] % 1
         y = np.stack([np.interp(at - late, t, x) for x in q.T], axis=1)
     else:
         y = q[::SHAPE_EVERY].copy()
     if f := causes.get("sensor_scale"):
-        y += f[0] * y * (1 - 0.1 * (y / 0.6) ** 2)
+        if form(f) == 2:  # the camera looks from one side
+            y *= 1 + f[0] * (0.3 + np.tanh(y / 0.15))
+        else:
+            y += f[0] * y * (1 - 0.1 * (y / 0.6) ** 2 * (form(f) == 0))
     if f := causes.get("sensor_bias"):
         offsets = np.array(f[1 : 1 + columns]) if columns > 1 else np.ones(1)
-        y += f[0] * offsets * np.cos(y)
+        y += f[0] * offsets * (np.cos(y) if form(f) == 0 else 1)
     if f := causes.get("camera_wander"):
         rng = np.random.default_rng([int(f[1]), run])
         for hz in (0.04, 0.09, 0.17, 0.31):
             turn = rng.uniform(0, 2 * np.pi)
             y += (f[0] * rng.normal() * (np.sin(2 * np.pi * hz * at + turn) - np.sin(turn)))[:, None]
+    if f := causes.get("lost_frames"):
+        rng = np.random.default_rng([int(f[1]), run])
+        for begin in np.arange(2, at[-1], 3.0):
+            begin += rng.uniform(-0.7, 0.7)
+            lost = (at >= begin) & (at < begin + f[0])
+            y[lost] = y[lost][:1]
     return y
 
 
@@ -53,6 +66,23 @@ def _averaged(q: Array, seconds: float) -> Array:
     """A mean over the past `seconds`, the middle of it counting most."""
     m = max(2, round(seconds / PERIOD_S))
     weight = np.hanning(m + 2)[1:-1]
-    weight /= weight.sum()
+    return _weighted(q, weight / weight.sum())
+
+
+def _exposed(q: Array, seconds: float) -> Array:
+    """The mean over the past `seconds`."""
+    m = max(2, round(seconds / PERIOD_S))
+    return _weighted(q, np.full(m, 1 / m))
+
+
+def _smoothed(q: Array, seconds: float) -> Array:
+    """A filter of first order, from rest."""
+    decay = np.exp(-PERIOD_S * np.arange(round(8 * seconds / PERIOD_S) + 1) / seconds)
+    return _weighted(q, decay / decay.sum())
+
+
+def _weighted(q: Array, weight: Array) -> Array:
+    """The mean over the past, the weight of what is newest first."""
+    m = len(weight)
     padded = np.concatenate([np.repeat(q[:1], m - 1, axis=0), q])
     return np.stack([np.convolve(x, weight, "valid") for x in padded.T], axis=1)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
-from benchmarks.blind import cases, judge, page, seal, study
+from benchmarks.blind import cases, causes, judge, mujoco_plant, page, plant, seal, sensing, study
+from benchmarks.recovery.experiments import plan
+from benchmarks.recovery.robots import draw
 
 SEED = 11
 
@@ -90,6 +93,28 @@ def test_the_scoreboard_counts_and_the_page_shows_failures(tmp_path):
     assert "| true cause ranked first | ≥ 0.90 | 0.5 | 0.09 – 0.91 | 2 | **missed** |" in text
     assert text.count("| **no** |") == 3
     assert (tmp_path / "blind_confusion.png").exists() and (tmp_path / "blind_reliability.png").exists()
+
+
+def test_every_shape_of_every_cause_changes_what_the_camera_sees():
+    robot = draw(1, seed=1)[0]
+    runs = plan(robot, 5.0, seed=1)[4:6]  # at all pressures
+    setting = causes.Setting(max(float(run.tendons.max()) for run in runs), np.array([0.1, 0.1]), 5.0, 5.0)
+
+    def angles(session, planted: plant.Causes):
+        motions = session(robot.truth, planted, runs, 6)
+        return np.concatenate([sensing.shape(motion, 6, planted, i) for i, motion in enumerate(motions)])
+
+    for session, ids in ((plant.session, list(causes.CAUSES)), (mujoco_plant.session, list(mujoco_plant.IDS))):
+        usual = angles(session, {})
+        for name in ids:
+            changes = set()
+            for form, shape in enumerate(causes.CAUSES[name].shapes):
+                numbers = shape.numbers(np.random.default_rng(1), setting)
+                there = angles(session, {name: causes.row(form, shape.start, numbers)})
+                assert np.all(np.isfinite(there)), (name, form)
+                changes.add(round(float(np.abs(there - usual).max()), 6))
+            assert 0.0 not in changes
+            assert session != plant.session or len(changes) == len(causes.CAUSES[name].shapes)  # no two the same
 
 
 def test_one_robot_from_the_draw_to_the_scoreboard(tmp_path, monkeypatch):

@@ -1,0 +1,102 @@
+/* The shapes of causes in layers, structure and friction: each takes its cause's row f. See plant.c. */
+#include "plant.h"
+
+/* The pressures [kPa] that stiffness and friction go by. */
+static double stiffening(const double *f, double P) {
+    double knee = f[0] * P / 20, x;
+    if (f[0] <= 0) return P;
+    switch (form(f)) {
+    case 0: return P / cbrt(1 + knee * knee * knee);
+    case 1: return P / (1 + knee);
+    case 2: return -20 / f[0] * expm1(-knee);
+    default: x = P * P / (f[1] * f[1]); return (1 - f[0]) * P + f[0] * 25 * x / (1 + x);
+    }
+}
+
+static double rubbing(const Robot *r, const double *f, double P) {
+    double usual = sqrt(P);
+    if (f[0] <= 0) return r->c4 + r->c5 * usual;
+    if (form(f) == 0) return r->c4 + r->c5 * sqrt(20 / f[0] * tanh(f[0] * P / 20));
+    double other = form(f) == 1 ? (1 + f[1] / 20) * P / (P + f[1]) : expm1(-P / f[1]) / expm1(-20 / f[1]);
+    return r->c4 + r->c5 * ((1 - f[0]) * usual + f[0] * sqrt(20) * other);
+}
+
+/* Friction drops, or stiffness, or both, or one of them rises. */
+static void warmed(const double *f, double warm, double *phi, double *alpha2, double *added) {
+    double x = warm / 10, share;
+    if (f[0] <= 0) return;
+    if (form(f) == 2) {
+        x = 1 / (1 + exp((f[1] - warm) / 0.5)) - 1 / (1 + exp(f[1] / 0.5));
+        share = 1 - 0.5 * f[0] * x;
+        *phi *= 1 - f[0] * x, *alpha2 *= share, *added *= share;
+        return;
+    }
+    share = form(f) == 0 ? exp(-f[0] * x * sqrt(1 + x)) : fmax(0.1, 1 + f[2] * f[0] * x);
+    if (f[1] < 0.5) *phi *= share; else *alpha2 *= share, *added *= share;
+}
+
+/* Layers that remember: shares of their torque. */
+static double remembered(const double *f, double play[PLAYS], double q, double dq, double P) {
+    static const double width[PLAYS] = {0.01, 0.03, 0.07, 0.14}, share[PLAYS] = {0.4, 0.28, 0.2, 0.12};
+    double x = 0.25 * tanh(q / 0.25), sum = 0, *z = play, steep;
+    if (form(f) == 0) {
+        for (int k = 0; k < PLAYS; k++) {
+            play[k] = clamp(play[k], x - width[k], x + width[k]);
+            sum += share[k] * (x - play[k]) / width[k];
+        }
+        return sum * (0.35 + P / 25);
+    }
+    steep = form(f) == 1 ? 0.7 * sign(dq * *z) + 0.3 : sign(dq * *z);
+    *z = clamp(*z + dq / f[1] * (1 - steep * (form(f) == 1 ? pow(fabs(*z), f[2]) : fabs(*z))), -1, 1);
+    if (form(f) == 1) return *z * (0.35 + P / 25);
+    x = q * q / 0.01; /* little where it is straight */
+    return 1.5 * *z * x / (1 + x) * (0.3 + sqrt(P / 20));
+}
+
+static double crept(const double *f, double branch[4], double q, double h) {
+    static const double time[4] = {0.25, 1.2, 6, 30}, share[4] = {0.4, 0.3, 0.2, 0.1};
+    double sum = 0, over = q - branch[0];
+    if (form(f) == 0) {
+        for (int k = 0; k < 4; k++) {
+            branch[k] += h * (q - branch[k]) / time[k];
+            sum += share[k] * (q - branch[k]);
+        }
+        return sum;
+    }
+    branch[0] += h / f[1] * (form(f) == 1 ? over : 0.04 * sinh(clamp(over / 0.04, -7, 7)));
+    return q - branch[0];
+}
+
+/* Torque of joint i's damping, and its slope added. */
+static double damped(const double *f, int i, double v, double *slope) {
+    double v0 = 0.25, of = f[0] * (0.4 + 0.24 * i);
+    if (form(f) == 0) {
+        *slope += f[0] / sqrt(1 + v * v / (v0 * v0));
+        return f[0] * v0 * asinh(v / v0);
+    }
+    *slope += form(f) == 1 ? f[0] : 2 * of * fabs(v);
+    return form(f) == 1 ? f[0] * v : of * v * fabs(v);
+}
+
+static double hardened(const double *f, double q, double share) {
+    if (form(f) == 0) return f[0] * q * fabs(q);
+    if (form(f) == 1) return f[0] * q * q * q;
+    double x = clamp(q / f[1], -6, 6);
+    return f[0] * share * f[1] * (sinh(x) - x);
+}
+
+/* By how much loading rubs more than unloading: shares of the usual friction. */
+static double lopsided(const double *f, double *loading, double q, double v, double h) {
+    if (form(f) == 0) return f[0] * tanh(q / 0.02) * tanh(v / 0.01);
+    if (form(f) == 1) return f[0] * tanh(q / 0.002) * tanh(v / 0.002);
+    *loading += clamp(h * fabs(v) / 0.02, 0, 1) * (sign(q * v) - *loading);
+    return f[0] * *loading;
+}
+
+/* What a tendon loses on joint i, and what the other one gains: shares of tension. */
+static double rubbed(const double *f, double *guide, double q, double rate, double h) {
+    double soft = 1e-4, wrap = fabs(q) + (form(f) == 0 ? f[1] : 0);
+    *guide = (*guide + h * rate / soft) / (1 + h * fabs(rate) / soft);
+    if (form(f) == 0) return f[0] * wrap * (*guide + 0.8 * rate);
+    return f[0] * wrap * *guide * (form(f) == 1 ? 1 : 1 + 0.8 * exp(-rate * rate / 1e-5));
+}
