@@ -1,0 +1,86 @@
+"""What a law needs of a model at rest: α₂ and φ over the vacuum, the tip's stiffness, the bend with equal joints.
+
+The closed loop's stiffness at z = 0 is K = γ 1_{n×n} + diag(α₂ + σ₀φ), and a probe at the tip feels K_T = 1/(aᵀK⁻¹a)
+(model sections 2, 6). Everything is arithmetic under JAX.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ljjax import step
+from ljjax.chain import lateral_jacobian, mass_matrix
+from ljjax.control import jax_ops
+from ljjax.law.step import root_of, vacuum_of
+from ljjax.model import Model
+
+ENTRIES = 65
+"""Entries of each of the law's tables."""
+LONG_S = 1e9
+"""Long enough for lags and leaks to have settled."""
+
+
+class Hardware(NamedTuple):
+    """What the rig can do: tensions [N] and their rate [N/s], co-contraction [N], vacuum [kPa] and its rate [kPa/s],
+    the loop's rate [Hz], and the largest segment angle to command [rad] (None: as far as the tensions reach)."""
+
+    tension_min_n: float = 0.5
+    tension_max_n: float = 60.0
+    co_contraction_n: float = 2.0
+    tension_slew_n_s: float = 400.0
+    vacuum_max_kpa: float = 40.0
+    vacuum_slew_kpa_s: float = 50.0
+    rate_hz: float = 200.0
+    theta_max_rad: float | None = None
+
+
+class Mode(NamedTuple):
+    """The bend with all joints equal, θ'' I + θ' d + θ k = …, while it slides, at each entry of the tables: inertia
+    1ᵀM(0)1 [kg·m²], viscous friction nφσ₂ [N·m·s/rad], the elastic coefficient α₂ and the friction scale φ."""
+
+    inertia: Array
+    viscous: Array
+    alpha2: Array
+    phi: Array
+
+
+@eqx.filter_jit
+def coefficients(model: Model, vacuum: Array, tension: Array | float) -> tuple[Array, Array]:
+    """(V, n) α₂ [N·m/rad] and φ [N·m] of each joint, unbent, at vacuums (V,) [kPa] held for long under `tension` [N] in
+    both tendons; effects included."""
+
+    def one(u_p: Array) -> tuple[Array, Array]:
+        straight = (jnp.zeros_like(u_p),) * model.n
+        pull = jnp.zeros_like(u_p) + tension
+        alpha2, phi = step.settled(model, straight, step.Drive(pull, pull, u_p), LONG_S)
+        return jnp.stack(alpha2), jnp.stack(phi)
+
+    return jax.vmap(one)(vacuum)
+
+
+def tip_stiffness(model: Model, joint: Array, gamma: Any) -> Array:
+    """(V,) K_T [N/m] for K = γ 1_{n×n} + diag(joint), joint (V, n) [N·m/rad]: Sherman and Morrison's formula."""
+    a = lateral_jacobian(model.chain, jnp.zeros((model.n,), joint.dtype))
+    give = 1 / joint
+    lateral, common = jnp.sum(a[None] ** 2 * give, axis=1), jnp.sum(a[None] * give, axis=1)
+    return 1 / (lateral - gamma * common**2 / (1 + gamma * jnp.sum(give, axis=1)))
+
+
+@eqx.filter_jit
+def mode(model: Model, hardware: Hardware) -> Mode:
+    """`Mode` at the vacuums of the tables."""
+    alpha2, phi = coefficients(model, vacuums(model, hardware), hardware.co_contraction_n)
+    inertia = jnp.sum(mass_matrix(model.chain, jnp.zeros((model.n,), alpha2.dtype)))
+    return Mode(inertia, model.n * model.friction.sigma2 * jnp.mean(phi, axis=1), jnp.mean(alpha2, axis=1), phi)
+
+
+@eqx.filter_jit
+def vacuums(model: Model, hardware: Hardware) -> Array:
+    """(ENTRIES,) vacuums [kPa] at which the tables hold α₂ and φ: evenly spaced in w(u_P)."""
+    most = jnp.asarray(hardware.vacuum_max_kpa, model.jamming.c4.dtype)
+    return vacuum_of(jax_ops, jnp.linspace(0.0, 1.0, ENTRIES, dtype=most.dtype) * root_of(jax_ops, most))
