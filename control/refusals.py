@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 
-import jax.numpy as jnp
 import numpy as np
 
-from ljjax.control.statics import Hardware, coefficients, mode, tip_stiffness, vacuums
+from ljjax.control.statics import Hardware, Statics, tip_stiffness
 from ljjax.errors import InputError
 from ljjax.law.parts import UNITS, Law
 from ljjax.model import Model
@@ -28,9 +27,9 @@ def plausible(hardware: Hardware) -> None:
         raise InputError(f"limits: theta_max_rad = {hardware.theta_max_rad:g}: must be > 0")
 
 
-def positive(model: Model, hardware: Hardware, where: str) -> None:
-    at = np.asarray(vacuums(model, hardware))
-    for name, x in zip(("α₂", "φ"), coefficients(model, jnp.asarray(at), hardware.co_contraction_n), strict=True):
+def positive(at_rest: Statics, where: str) -> None:
+    at = np.asarray(at_rest.vacuum)
+    for name, x in (("α₂", at_rest.alpha2), ("φ", at_rest.phi)):
         worst = np.asarray(x).min(axis=1)
         if not (worst > 0).all():
             i = int(np.argmax(~(worst > 0)))
@@ -40,15 +39,13 @@ def positive(model: Model, hardware: Hardware, where: str) -> None:
             )
 
 
-def largest_angle(model: Model, hardware: Hardware, most: float) -> float:
+def largest_angle(model: Model, at_rest: Statics, hardware: Hardware, most: float) -> float:
     """The largest |θ| [rad], to `most`, up to which the tensions hold every angle at every vacuum of the tables, and
     overcome stiction beside."""
-    m = mode(model, hardware)
+    alpha2, phi = np.asarray(at_rest.alpha2).mean(axis=1), np.asarray(at_rest.phi).max(axis=1)
     theta = np.linspace(0.0, most, 181)
-    hold = np.abs(
-        float(model.gravity.alpha1) * np.sin(model.n * theta)[:, None] + np.asarray(m.alpha2) * theta[:, None]
-    )
-    stick = float(model.friction.mu_s) * np.asarray(m.phi).max(axis=1)
+    hold = np.abs(float(model.gravity.alpha1) * np.sin(model.n * theta)[:, None] + alpha2 * theta[:, None])
+    stick = float(model.friction.mu_s) * phi
     strongest = float(model.chain.lever_arm_m) * (hardware.tension_max_n - hardware.tension_min_n)
     held = ((hold + stick) <= strongest).all(axis=1)
     if not held[1]:
@@ -59,14 +56,12 @@ def largest_angle(model: Model, hardware: Hardware, most: float) -> float:
     return float(theta[-1] if held.all() else theta[int(np.argmin(held)) - 1])
 
 
-def rising(model: Model, law: Law, hardware: Hardware, where: str) -> None:
-    at = vacuums(model, hardware)
-    alpha2, phi = coefficients(model, at, hardware.co_contraction_n)
-    k = np.asarray(tip_stiffness(model, alpha2 + model.friction.sigma0 * phi, law.gains.gamma))
+def rising(model: Model, at_rest: Statics, law: Law, where: str) -> None:
+    k = np.asarray(tip_stiffness(model, at_rest.alpha2 + model.friction.sigma0 * at_rest.phi, law.gains.gamma))
     if not (np.diff(k) > 0).all():
         i = int(np.argmin(np.diff(k) > 0))
         raise InputError(
-            f"{where}: the tip's stiffness rises no further than {k[i]:.4g} N/m at {float(at[i]):.3g} kPa; "
+            f"{where}: the tip's stiffness rises no further than {k[i]:.4g} N/m at {float(at_rest.vacuum[i]):.3g} kPa; "
             "lower vacuum_max_kpa to that"
         )
 
@@ -83,15 +78,16 @@ def unique(law: Law) -> float:
     return ratio
 
 
-def routh(model: Model, law: Law, hardware: Hardware) -> None:
+def routh(model: Model, at_rest: Statics, law: Law) -> None:
     """Refuse integral action under which the equal bend is unstable even while it slides and without delay: Routh's
     condition d k > I n² k_I of Iθ''' + dθ'' + kθ' + n² k_I θ = 0, for a small bend at its worst vacuum."""
     if law.kind == "passivity":
         return
-    n, m, gains = model.n, mode(model, hardware), law.gains
-    d = np.asarray(m.viscous) + gains.damping * (n * law.robot.lever_arm_m) ** 2
-    k = n * (n * gains.gamma + np.asarray(m.alpha2))
-    most = float(np.min(d * k)) / (float(m.inertia) * n**2)
+    n, gains = model.n, law.gains
+    viscous = n * float(model.friction.sigma2) * np.asarray(at_rest.phi).mean(axis=1)
+    d = viscous + gains.damping * (n * law.robot.lever_arm_m) ** 2
+    k = n * (n * gains.gamma + np.asarray(at_rest.alpha2).mean(axis=1))
+    most = float(np.min(d * k)) / (float(at_rest.inertia) * n**2)
     if not gains.integral < most:
         raise InputError(
             f"gains.integral = {gains.integral:g}: unstable even without friction's stiction and without delay; choose "

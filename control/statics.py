@@ -39,28 +39,34 @@ class Hardware(NamedTuple):
     theta_max_rad: float | None = None
 
 
-class Mode(NamedTuple):
-    """The bend with all joints equal, θ'' I + θ' d + θ k = …, while it slides, at each entry of the tables: inertia
-    1ᵀM(0)1 [kg·m²], viscous friction nφσ₂ [N·m·s/rad], the elastic coefficient α₂ and the friction scale φ."""
+class Statics(NamedTuple):
+    """A robot at rest at the vacuums of the tables, unbent, effects included.
 
-    inertia: Array
-    viscous: Array
+    Attributes:
+        vacuum: (V,) vacuums commanded [kPa], evenly spaced in w(u_P), held for long.
+        alpha2, phi: (V, n) of each joint [N·m/rad, N·m].
+        inertia: 1ᵀM(0)1 of the bend with all joints equal [kg·m²].
+    """
+
+    vacuum: Array
     alpha2: Array
     phi: Array
+    inertia: Array
 
 
 @eqx.filter_jit
-def coefficients(model: Model, vacuum: Array, tension: Array | float) -> tuple[Array, Array]:
-    """(V, n) α₂ [N·m/rad] and φ [N·m] of each joint, unbent, at vacuums (V,) [kPa] held for long under `tension` [N] in
-    both tendons; effects included."""
+def statics(model: Model, vacuum_max_kpa: Array, tension: Array) -> Statics:
+    """`Statics` up to a vacuum [kPa], under `tension` [N] in both tendons."""
 
     def one(u_p: Array) -> tuple[Array, Array]:
         straight = (jnp.zeros_like(u_p),) * model.n
-        pull = jnp.zeros_like(u_p) + tension
-        alpha2, phi = step.settled(model, straight, step.Drive(pull, pull, u_p), LONG_S)
+        alpha2, phi = step.settled(model, straight, step.Drive(tension, tension, u_p), LONG_S)
         return jnp.stack(alpha2), jnp.stack(phi)
 
-    return jax.vmap(one)(vacuum)
+    most = root_of(jax_ops, vacuum_max_kpa)
+    vacuum = vacuum_of(jax_ops, jnp.linspace(0.0, 1.0, ENTRIES, dtype=most.dtype) * most)
+    inertia = jnp.sum(mass_matrix(model.chain, jnp.zeros((model.n,), most.dtype)))
+    return Statics(vacuum, *jax.vmap(one)(vacuum), inertia)
 
 
 def tip_stiffness(model: Model, joint: Array, gamma: Any) -> Array:
@@ -69,18 +75,3 @@ def tip_stiffness(model: Model, joint: Array, gamma: Any) -> Array:
     give = 1 / joint
     lateral, common = jnp.sum(a[None] ** 2 * give, axis=1), jnp.sum(a[None] * give, axis=1)
     return 1 / (lateral - gamma * common**2 / (1 + gamma * jnp.sum(give, axis=1)))
-
-
-@eqx.filter_jit
-def mode(model: Model, hardware: Hardware) -> Mode:
-    """`Mode` at the vacuums of the tables."""
-    alpha2, phi = coefficients(model, vacuums(model, hardware), hardware.co_contraction_n)
-    inertia = jnp.sum(mass_matrix(model.chain, jnp.zeros((model.n,), alpha2.dtype)))
-    return Mode(inertia, model.n * model.friction.sigma2 * jnp.mean(phi, axis=1), jnp.mean(alpha2, axis=1), phi)
-
-
-@eqx.filter_jit
-def vacuums(model: Model, hardware: Hardware) -> Array:
-    """(ENTRIES,) vacuums [kPa] at which the tables hold α₂ and φ: evenly spaced in w(u_P)."""
-    most = jnp.asarray(hardware.vacuum_max_kpa, model.jamming.c4.dtype)
-    return vacuum_of(jax_ops, jnp.linspace(0.0, 1.0, ENTRIES, dtype=most.dtype) * root_of(jax_ops, most))

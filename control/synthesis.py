@@ -11,14 +11,13 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from ljjax.control import jax_ops
 from ljjax.control.refusals import UNIQUE, largest_angle, plausible, positive, rising, routh, unique
-from ljjax.control.statics import ENTRIES, Hardware, coefficients, mode, tip_stiffness, vacuums
+from ljjax.control.statics import ENTRIES, Hardware, Statics, statics, tip_stiffness
 from ljjax.errors import InputError
 from ljjax.law.file import possible
 from ljjax.law.parts import KINDS, Gains, Kind, Law, Limits, Robot, Tables
@@ -26,49 +25,39 @@ from ljjax.law.step import root_of
 from ljjax.model import Model, check
 
 
-@eqx.filter_jit
-def default_gains(model: Model, hardware: Hardware) -> Gains:
+def default_gains(model: Model, at_rest: Statics, rate_hz: Array) -> Gains:
     """Gains to begin with, for tuning to better: γ at half of what uniqueness allows; K_D that damps the equal bend
     critically while it slides; integral action with a corner at 4 rad/s; a dead zone of 0.02° of θ."""
-    n, arm, m = model.n, model.chain.lever_arm_m, mode(model, hardware)
-    gamma = 0.5 * UNIQUE * jnp.min(m.alpha2) / n
-    k = n * (n * gamma + m.alpha2)
-    damping = jnp.max(2 * jnp.sqrt(m.inertia * k) - m.viscous) / (n * arm) ** 2
-    x = jnp.asarray
-    rest = (0.0, math.radians(0.02), 0.9, 0.02)
+    n, alpha2 = model.n, jnp.mean(at_rest.alpha2, axis=1)
+    gamma = 0.5 * UNIQUE * jnp.min(alpha2) / n
+    k = n * (n * gamma + alpha2)
+    viscous = n * model.friction.sigma2 * jnp.mean(at_rest.phi, axis=1)
+    damping = jnp.max(2 * jnp.sqrt(at_rest.inertia * k) - viscous) / (n * model.chain.lever_arm_m) ** 2
+    given = {"leak_per_s": 0.0, "dead_zone_rad": math.radians(0.02), "compensation": 0.9, "still_rad_s": 0.02}
     return Gains(
-        gamma,
-        jnp.maximum(damping, 0.0),
-        x(2.0 / hardware.rate_hz, gamma.dtype),
-        4.0 * jnp.min(k) / n**2,
-        *(x(value, gamma.dtype) for value in rest),
+        gamma=gamma,
+        damping=jnp.maximum(damping, 0.0),
+        filter_s=2.0 / rate_hz,
+        integral=4.0 * jnp.min(k) / n**2,
+        **{name: jnp.asarray(value, gamma.dtype) for name, value in given.items()},
     )
 
 
-@eqx.filter_jit
-def build(model: Model, kind: Kind, gains: Gains, hardware: Hardware, theta_max_rad: Any) -> Law:
-    """The law of a model, unchecked; traceable by the model's parameters, the gains and the hardware's numbers."""
-    vacuum = vacuums(model, hardware)
-    alpha2, phi = coefficients(model, vacuum, hardware.co_contraction_n)
-    stiffness = tip_stiffness(model, alpha2 + model.friction.sigma0 * phi, gains.gamma)
-    wanted = stiffness[0] + jnp.linspace(0.0, 1.0, ENTRIES, dtype=vacuum.dtype) * (stiffness[-1] - stiffness[0])
-    f = model.friction
+def build(model: Model, kind: Kind, gains: Gains, hardware: Hardware) -> Law:
+    """The law of a model, unchecked; to be differentiated by the model's parameters, the gains and the hardware's
+    numbers, all of them arrays and `theta_max_rad` given."""
+    at_rest = statics(model, hardware.vacuum_max_kpa, hardware.co_contraction_n)
+    stiffness = tip_stiffness(model, at_rest.alpha2 + model.friction.sigma0 * at_rest.phi, gains.gamma)
+    wanted = stiffness[0] + jnp.linspace(0.0, 1.0, ENTRIES, dtype=stiffness.dtype) * (stiffness[-1] - stiffness[0])
+    f, n = model.friction, jnp.asarray(model.n, stiffness.dtype)
+    robot = Robot(n, model.chain.lever_arm_m, model.gravity.alpha1, f.sigma0, f.sigma3, f.mu_c, f.mu_s, f.v_s)
+    limits = Limits(*hardware[:6], hardware.theta_max_rad, stiffness[0], stiffness[-1])
+    root = jnp.interp(wanted, stiffness, root_of(jax_ops, at_rest.vacuum))
+    tables = Tables(jnp.mean(at_rest.alpha2, axis=1), jnp.mean(at_rest.phi, axis=1), root)
+    return Law(kind, 1.0 / hardware.rate_hz, gains, robot, limits, tables)
 
-    def scalar(x: Any) -> Array:
-        return jnp.asarray(x, vacuum.dtype)
 
-    robot = Robot(model.n, model.chain.lever_arm_m, model.gravity.alpha1, f.sigma0, f.sigma3, f.mu_c, f.mu_s, f.v_s)
-    limits = Limits(*hardware[:6], theta_max_rad, stiffness[0], stiffness[-1])
-    return Law(
-        kind,
-        scalar(1.0 / hardware.rate_hz),
-        *(jax.tree.map(scalar, group) for group in (gains, robot, limits)),
-        tables=Tables(
-            jnp.mean(alpha2, axis=1),
-            jnp.mean(phi, axis=1),
-            jnp.interp(wanted, stiffness, root_of(jax_ops, vacuum)),
-        ),
-    )
+_built, _gains = eqx.filter_jit(build), eqx.filter_jit(default_gains)
 
 
 class Design(NamedTuple):
@@ -105,16 +94,20 @@ def design(
     if model.lever is not None:
         raise InputError(f"{where}: the model has a lever arm of its own over the shape; a law takes chain.lever_arm_m")
     check(model, (0.0, hardware.vacuum_max_kpa), where)
-    positive(model, hardware, where)
-    chosen = default_gains(model, hardware)._asdict()
+    asked = hardware.theta_max_rad
+    dtype = model.jamming.c4.dtype
+    limit = math.pi / 2 / model.n if asked is None else asked
+    numbers = Hardware(*(jnp.asarray(x, dtype) for x in hardware._replace(theta_max_rad=limit)))
+    at_rest = statics(model, numbers.vacuum_max_kpa, numbers.co_contraction_n)
+    positive(at_rest, where)
+    chosen = _gains(model, at_rest, numbers.rate_hz)._asdict()
     for name, value in (gains or {}).items():
         if name not in chosen:
             raise InputError(f"no gain {name!r}; the gains are {', '.join(chosen)}")
         if not math.isfinite(value):
             raise InputError(f"gains.{name} = {value}: must be a finite number")
         chosen[name] = jnp.asarray(value, chosen[name].dtype)
-    asked = hardware.theta_max_rad
-    reachable = largest_angle(model, hardware, asked or math.pi / 2 / model.n)
+    reachable = largest_angle(model, at_rest, hardware, limit)
     if asked is not None and asked > reachable * (1 + 1e-9):
         raise InputError(
             f"{where}: theta_max_rad = {asked:.4g}: {hardware.tension_max_n:g} N hold no more than {reachable:.4g} rad "
@@ -122,11 +115,12 @@ def design(
             "tension_max_n, or ask for less"
         )
     theta_max = reachable if asked is None else asked
-    law = plain(build(model, kind, Gains(**chosen), hardware, theta_max))
-    rising(model, law, hardware, where)
+    numbers = numbers._replace(theta_max_rad=jnp.asarray(theta_max, dtype))
+    law = plain(_built(model, kind, Gains(**chosen), numbers))
+    rising(model, at_rest, law, where)
     possible(law, "law")
     ratio = unique(law)
-    routh(model, law, hardware)
+    routh(model, at_rest, law)
     limits = law.limits
     return Design(
         law,
