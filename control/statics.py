@@ -27,16 +27,17 @@ LONG_S = 1e9
 
 class Hardware(NamedTuple):
     """What the rig can do: tensions [N] and their rate [N/s], co-contraction [N], vacuum [kPa] and its rate [kPa/s],
-    the loop's rate [Hz], and the largest segment angle to command [rad] (None: as far as the tensions reach)."""
+    the loop's rate [Hz], and the largest segment angle to command [rad] (None: as far as the tensions reach).
+    Floats; arrays to differentiate by."""
 
-    tension_min_n: float = 0.5
-    tension_max_n: float = 60.0
-    co_contraction_n: float = 2.0
-    tension_slew_n_s: float = 400.0
-    vacuum_max_kpa: float = 40.0
-    vacuum_slew_kpa_s: float = 50.0
-    rate_hz: float = 200.0
-    theta_max_rad: float | None = None
+    tension_min_n: Any = 0.5
+    tension_max_n: Any = 60.0
+    co_contraction_n: Any = 2.0
+    tension_slew_n_s: Any = 400.0
+    vacuum_max_kpa: Any = 40.0
+    vacuum_slew_kpa_s: Any = 50.0
+    rate_hz: Any = 200.0
+    theta_max_rad: Any = None
 
 
 class Statics(NamedTuple):

@@ -9,7 +9,7 @@ from ljjax.law import ops
 from ljjax.law.parts import Command, Law, Measured, Output, State
 from ljjax.law.step import start, step
 
-TICKS = 160
+TICKS = 200
 TOLERANCE = 1e-12
 """Largest error that passes, relative to the larger of the value and a hundredth of its column's largest."""
 COLUMNS = (
@@ -30,17 +30,18 @@ class Golden(NamedTuple):
 
 def script(law: Law) -> tuple[State, list[tuple[Measured, Command]]]:
     """Inputs that step, creep, reverse and overstep every limit: commands beyond reach, a bend that follows late, rests
-    within the dead zone, jumps, and a vacuum that lags behind its command."""
+    within the dead zone, is held a quarter turn away and jumps, and a vacuum that lags behind its command."""
     limits, n = law.limits, law.robot.segments
     width = limits.stiffness_max_n_m - limits.stiffness_min_n_m
     initial = start(law, 0.0, 0.0, 0.0, 0.0)
     inputs = []
-    bend, vacuum, wanted = 0.0, 0.0, 0.0
+    bend, vacuum = 0.0, 0.0
     for k in range(TICKS):
         part = k // 20
-        theta = limits.theta_max_rad * (0.3, 0.3, 1.4, 1.4, -0.8, -0.8, 0.05, 0.05)[part % 8]
-        stiffness = limits.stiffness_min_n_m + width * (0.2, 0.9, 1.5, 0.6, -0.4, 0.5, 0.5, 0.01)[part % 8]
+        theta = limits.theta_max_rad * (0.3, 0.3, 1.4, 1.4, -0.8, -0.8, -0.8, -0.8, 0.05, 0.05)[part]
+        stiffness = limits.stiffness_min_n_m + width * (0.2, 0.9, 1.5, 0.6, -0.4, -0.4, 0.5, 0.5, 0.5, 0.01)[part]
         wanted = n * max(-limits.theta_max_rad, min(limits.theta_max_rad, theta))
+        wanted = wanted - 0.5 * math.pi * (0.0, 0.0, 1.0, 1.0, -1.0, -1.0, -1.0, -1.0, 0.0, 0.0)[part]  # held away
         near = wanted + n * law.gains.dead_zone_rad * (0.5 * math.sin(1.7 * k) + (3.0 if part % 2 else 0.0))
         bend = bend + (0.25 if k % 20 < 12 else 0.9) * (near - bend)
         if k % 53 == 52:
