@@ -16,7 +16,7 @@ def command(
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.json")],
     header: Annotated[Path | None, tyro.conf.arg(metavar="FILE.h")] = None,
     law: Literal["passivity", "integral", "observer"] = "integral",
-    gain: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE")] = (),
+    gain: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE…")] = (),
     rate_hz: float = 200.0,
     theta_max_deg: Annotated[float | None, tyro.conf.arg(metavar="DEG")] = None,
     tension_min_n: float = 0.5,
@@ -35,7 +35,7 @@ def command(
         out: The law.json to write.
         header: A C99 header of the same law to write, for a microcontroller.
         law: The published law, the same with integral action, or with a LuGre observer beside it.
-        gain: A gain to set, such as gamma=0.5; the others are chosen from the model.
+        gain: Gains to set, such as gamma=0.5; the others are chosen from the model.
         rate_hz: Rate of the loop, in Hz.
         theta_max_deg: Largest segment angle to command, in degrees; by default as far as the tensions reach.
         tension_min_n: Least tension of a tendon, in N.

@@ -145,10 +145,20 @@ def test_the_sum_does_not_depend_on_layout(designs):
 
 def test_the_command_writes_a_law_and_its_header(model_file, tmp_path, capsys):
     out, c = tmp_path / "law.json", tmp_path / "law.h"
-    arguments = ["export", str(model_file), "--law", "observer", "--gain", "gamma=1.0", "--gain", "damping=9"]
+    arguments = [
+        "export",
+        str(model_file),
+        "--law",
+        "observer",
+        "--gain",
+        "gamma=1.0",
+        "--gain",
+        "damping=9",
+        "still_rad_s=0.03",
+    ]
     assert main([*arguments, "--theta-max-deg", "10", "--out", str(out), "--header", str(c)]) == 0
     given = load(out)
-    assert (given.kind, given.gains.gamma, given.gains.damping) == ("observer", 1.0, 9.0)
+    assert (given.kind, given.gains.gamma, given.gains.damping, given.gains.still_rad_s) == ("observer", 1.0, 9.0, 0.03)
     assert given.limits.theta_max_rad == pytest.approx(np.radians(10), rel=1e-12)
     said = capsys.readouterr().out
     assert "observer at 200 Hz: gamma 1, damping 9" in said and "reaches ±10° a segment" in said

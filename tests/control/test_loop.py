@@ -11,6 +11,7 @@ import pytest
 
 import ljjax
 from ljjax import batch, law
+from ljjax.chain import lateral_jacobian
 from ljjax.control import design, scenario, simulate
 from ljjax.control.jax_ops import floor
 from ljjax.control.loop import HOW, depth, run, substeps_of, to_jax
@@ -71,6 +72,18 @@ def test_the_stiffness_commanded_is_held(designs, robot, loops):
     made = designs["integral"]
     k = closed_loop_stiffness(robot(), loops["integral"].vacuum[-1], jnp.asarray(made.law.gains.gamma))
     assert float(transverse_stiffness(robot(), k)) == pytest.approx(_middle(made), rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", list(law.KINDS))
+def test_a_small_push_on_the_unbent_robot_feels_the_stiffness_commanded(designs, robot, kind):
+    """While the bristles are straight and hardly bend: less than a twentieth of what they break away at."""
+    made, model = designs[kind], robot()
+    lateral = np.asarray(lateral_jacobian(model.chain, jnp.zeros(2)))
+    force = 0.05 * 0.003 * _middle(made) * lateral[0] / 2
+    base = scenario(made.law, 0.0, _middle(made), 1.6)
+    push = force * np.clip((np.arange(len(base.theta)) * made.law.period_s - 0.8) / 0.4, 0.0, 1.0)
+    loop = simulate(made.law, model, base._replace(torque=jnp.asarray(push[:, None] * lateral)))
+    assert force / float(lateral @ loop.q[-1]) == pytest.approx(_middle(made), rel=0.03)
 
 
 @pytest.mark.parametrize("ticks", [0, 1, 2])
