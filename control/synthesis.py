@@ -33,7 +33,7 @@ def default_gains(model: Model, at_rest: Statics, rate_hz: Array) -> Gains:
     k = n * (n * gamma + alpha2)
     viscous = n * model.friction.sigma2 * jnp.mean(at_rest.phi, axis=1)
     damping = jnp.max(2 * jnp.sqrt(at_rest.inertia * k) - viscous) / (n * model.chain.lever_arm_m) ** 2
-    given = {"leak_per_s": 0.0, "dead_zone_rad": math.radians(0.02), "compensation": 0.9, "still_rad_s": 0.02}
+    given = {"leak_per_s": 0.0, "dead_zone_rad": math.radians(0.02), "compensation": 0.7, "still_rad_s": 0.02}
     return Gains(
         gamma=gamma,
         damping=jnp.maximum(damping, 0.0),
