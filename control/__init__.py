@@ -1,5 +1,40 @@
-"""The control law, its tuning, its robustness study, its export.
+"""The control law: its design from a model, the simulated closed loop, its export.
 
-What will live here: the passivity-based law and better ones, `tune(law, model, scenario)` by gradient through the
-simulated closed loop, the Monte Carlo study, and the export of a law as one file. Nothing yet.
+    from ljjax import control
+    made = control.design(model, "integral")              # a law, and what it reaches
+    loop = control.simulate(made.law, model, control.scenario(made.law, theta, stiffness, 5.0))
+    control.export(made, "law.json", header_out="law.h")  # for the rig: `ljjax.law` runs it, without JAX
+
+`docs/control.md` has the equations, and what is proven about them.
 """
+
+from typing import TYPE_CHECKING, Any
+
+__all__ = ["Design", "Hardware", "Loop", "Scenario", "design", "export", "parity", "scenario", "simulate"]
+
+if TYPE_CHECKING:
+    from ljjax.control.files import export
+    from ljjax.control.loop import Loop, Scenario, scenario, simulate
+    from ljjax.control.runtimes import parity
+    from ljjax.control.statics import Hardware
+    from ljjax.control.synthesis import Design, design
+
+_HOME = {
+    "Design": "synthesis",
+    "Hardware": "statics",
+    "Loop": "loop",
+    "Scenario": "loop",
+    "design": "synthesis",
+    "export": "files",
+    "parity": "runtimes",
+    "scenario": "loop",
+    "simulate": "loop",
+}
+
+
+def __getattr__(name: str) -> Any:
+    import importlib
+
+    if name in _HOME:
+        return getattr(importlib.import_module(f"ljjax.control.{_HOME[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

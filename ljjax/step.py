@@ -358,6 +358,13 @@ def _inputs(model: Model, now: Now, memory: tuple[Memory, ...]) -> tuple[Now, tu
     return now, tuple(kept), alpha2, phi
 
 
+def settled(model: Model, q: Vector, drive: Drive, after_s: float) -> tuple[Vector, Vector]:
+    """α₂ [N·m/rad] and φ [N·m] of each joint, at rest at the shape q, once a drive has been held for so long."""
+    still = tuple(jnp.zeros_like(x) for x in q)
+    now = _now(model, Unrolled(q, still, still), drive, jnp.full_like(drive.left, after_s))
+    return _inputs(model, now, tuple(e.start(now) for e in model.effects))[2:]
+
+
 def _load(model: Model, now: Now, memory: tuple[Memory, ...], drive: Drive) -> Vector:
     """What pushes the joints and is frozen over the step [N·m]: tendons, external torques, effects."""
     n = len(now.q)

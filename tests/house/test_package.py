@@ -1,5 +1,6 @@
 """What a user installs: one importable name, every room in it, cheap imports, nothing that harms a neighbour."""
 
+import ast
 import os
 import subprocess
 import sys
@@ -92,7 +93,7 @@ def test_python_control_works_beside_it(installed, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["ljjax", "ljjax.rig", "ljjax.gap", "ljjax.control", "ljjax.fit", "ljjax.logs", "ljjax.cli"]
+    "name", ["ljjax", "ljjax.law", "ljjax.rig", "ljjax.gap", "ljjax.control", "ljjax.fit", "ljjax.logs", "ljjax.cli"]
 )
 def test_import_loads_no_jax(name):
     code = f"import sys, {name}; print([m for m in ('jax', 'diffrax', 'matplotlib', 'scipy') if m in sys.modules])"
@@ -102,6 +103,16 @@ def test_import_loads_no_jax(name):
 def test_the_facade_names_exist():
     code = "import ljjax; print(all(getattr(ljjax, n) is not None for n in dir(ljjax)))"
     assert run(sys.executable, "-c", code, cwd=ROOT).strip() == "True"
+
+
+def test_the_law_that_runs_on_a_rig_imports_nothing_but_errors():
+    names = set()
+    for path in (ROOT / "ljjax" / "law").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names |= {alias.name for alias in node.names} if isinstance(node, ast.Import) else set()
+            names |= {node.module or "."} if isinstance(node, ast.ImportFrom) else set()
+    ours = {name for name in names if name.split(".")[0] not in sys.stdlib_module_names}
+    assert {name for name in ours if name.split(".")[:2] != ["ljjax", "law"]} == {"ljjax.errors"}
 
 
 def test_rooms_import_only_what_the_house_allows():

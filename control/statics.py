@@ -1,0 +1,78 @@
+"""What a law needs of a model at rest: α₂ and φ over the vacuum, the tip's stiffness, the bend with equal joints.
+
+The closed loop's stiffness at z = 0 is K = γ 1_{n×n} + diag(α₂ + σ₀φ), and a probe at the tip feels K_T = 1/(aᵀK⁻¹a)
+(model sections 2, 6). Everything is arithmetic under JAX.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ljjax import step
+from ljjax.chain import lateral_jacobian, mass_matrix
+from ljjax.control import jax_ops
+from ljjax.law.step import root_of, vacuum_of
+from ljjax.model import Model
+
+ENTRIES = 65
+"""Entries of each of the law's tables."""
+LONG_S = 1e9
+"""Long enough for lags and leaks to have settled."""
+
+
+class Hardware(NamedTuple):
+    """What the rig can do: tensions [N] and their rate [N/s], co-contraction [N], vacuum [kPa] and its rate [kPa/s],
+    the loop's rate [Hz], and the largest segment angle to command [rad] (None: as far as the tensions reach).
+    Floats; arrays to differentiate by."""
+
+    tension_min_n: Any = 0.5
+    tension_max_n: Any = 60.0
+    co_contraction_n: Any = 2.0
+    tension_slew_n_s: Any = 400.0
+    vacuum_max_kpa: Any = 40.0
+    vacuum_slew_kpa_s: Any = 50.0
+    rate_hz: Any = 200.0
+    theta_max_rad: Any = None
+
+
+class Statics(NamedTuple):
+    """A robot at rest at the vacuums of the tables, unbent, effects included.
+
+    Attributes:
+        vacuum: (V,) vacuums commanded [kPa], evenly spaced in w(u_P), held for long.
+        alpha2, phi: (V, n) of each joint [N·m/rad, N·m].
+        inertia: 1ᵀM(0)1 of the bend with all joints equal [kg·m²].
+    """
+
+    vacuum: Array
+    alpha2: Array
+    phi: Array
+    inertia: Array
+
+
+@eqx.filter_jit
+def statics(model: Model, vacuum_max_kpa: Array, tension: Array) -> Statics:
+    """`Statics` up to a vacuum [kPa], under `tension` [N] in both tendons."""
+
+    def one(u_p: Array) -> tuple[Array, Array]:
+        straight = (jnp.zeros_like(u_p),) * model.n
+        alpha2, phi = step.settled(model, straight, step.Drive(tension, tension, u_p), LONG_S)
+        return jnp.stack(alpha2), jnp.stack(phi)
+
+    most = root_of(jax_ops, vacuum_max_kpa)
+    vacuum = vacuum_of(jax_ops, jnp.linspace(0.0, 1.0, ENTRIES, dtype=most.dtype) * most)
+    inertia = jnp.sum(mass_matrix(model.chain, jnp.zeros((model.n,), most.dtype)))
+    return Statics(vacuum, *jax.vmap(one)(vacuum), inertia)
+
+
+def tip_stiffness(model: Model, joint: Array, gamma: Any) -> Array:
+    """(V,) K_T [N/m] for K = γ 1_{n×n} + diag(joint), joint (V, n) [N·m/rad]: Sherman and Morrison's formula."""
+    a = lateral_jacobian(model.chain, jnp.zeros((model.n,), joint.dtype))
+    give = 1 / joint
+    lateral, common = jnp.sum(a[None] ** 2 * give, axis=1), jnp.sum(a[None] * give, axis=1)
+    return 1 / (lateral - gamma * common**2 / (1 + gamma * jnp.sum(give, axis=1)))
