@@ -16,7 +16,7 @@ from jax.core import Tracer
 
 from ljjax._types import Scalar
 from ljjax.errors import InputError
-from ljjax.model import UNITS, Model, check, get, replace
+from ljjax.model import UNITS, Model, check, leaf, replace
 
 _POSITIVE = ("chain.half_length_m", "chain.radius_m", "chain.lever_arm_m", "chain.segment_mass_kg")
 FREE = tuple(path for path in UNITS if path != "friction.sigma0")
@@ -34,7 +34,7 @@ def unconstrain(model: Model, pressure_max_kpa: float, xp: Any = jnp) -> dict[st
     if not pressure_max_kpa > 0:
         raise InputError(f"the highest vacuum is {pressure_max_kpa:g} kPa; expected > 0")
     check(model, (0.0, pressure_max_kpa))
-    x = {path: get(model, path) for path in UNITS}
+    x = {path: leaf(model, path) for path in UNITS}
     mu_gap = x["friction.mu_s"] - x["friction.mu_c"]
     margin = x["friction.sigma2"] - x["friction.sigma1"] * mu_gap / x["friction.mu_c"]
     if not isinstance(margin, Tracer) and margin < 0:
