@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ljjax.constraints import constrain, unconstrain
+from ljjax.constraints import parameters, unconstrain
 from ljjax.errors import InputError
 from ljjax.model import Model, check, get, leaf, limits, passivity_margin, replace
 
@@ -28,6 +28,8 @@ GROUPS = (
 )
 LINEAR = ("gravity.alpha1", "elastic.c1", "elastic.c2", "jamming.c5")
 """Parameters of either sign: where they move on their own, they move as they are."""
+TINY = 1e-100
+"""An imaginary step: f(x + i·TINY)/TINY has the derivative as its imaginary part, exact to rounding."""
 STEEPEST = 4.0
 """The largest σ₃ to which a fit goes by itself: a steeper fall of the friction is a jump that no step resolves."""
 
@@ -55,9 +57,10 @@ class Coordinates:
         self._built = tuple(p for p in names if p in whole or p in single)
         self._log = np.array([p in forms if p in about else p not in (*self._built, *LINEAR) for p in names], bool)
         self._index = np.array([names.index(p) for p in self._built], int)
-        self._bare = without_effects(self.like)
+        bare = jax.tree.map(np.asarray, without_effects(self.like))
         try:
-            free = unconstrain(self._bare, self.pressure)
+            with np.errstate(divide="ignore"):
+                self._free = free = unconstrain(bare, self.pressure, np)
         except InputError as error:
             raise InputError(f"the starting model: {str(error).removeprefix('model: ')}") from None
         value = np.array([float(get(self.like, p)) for p in names])
@@ -83,17 +86,21 @@ class Coordinates:
         """(k,) the free parameters at x, in their units."""
         out = np.where(self._log, np.exp(np.where(self._log, x, 0.0)), x)
         if self._built:
-            out[self._index] = _values(self._bare, self._built, self.pressure, jnp.asarray(x[self._index]))
+            out[self._index] = self._values(x[self._index])
         return out
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """(k, k) ∂(parameters)/∂x."""
         out = np.diag(np.where(self._log, np.exp(np.where(self._log, x, 0.0)), 1.0))
         if self._built:
-            out[np.ix_(self._index, self._index)] = _jacobian(
-                self._bare, self._built, self.pressure, jnp.asarray(x[self._index])
-            )
+            moved = x[self._index] + 1j * TINY * np.eye(len(self._index))
+            out[np.ix_(self._index, self._index)] = np.stack([np.imag(self._values(y)) for y in moved], axis=1) / TINY
         return out
+
+    def _values(self, x: np.ndarray) -> np.ndarray:
+        """The parameters that are built of the coordinates x, real or complex."""
+        values = parameters({**self._free, **dict(zip(self._built, x, strict=True))}, self.pressure, np)
+        return np.array([values[p] for p in self._built])
 
     def slopes(self, x: np.ndarray) -> Model:
         """A model whose leaves are (k,): the derivatives of the model's parameters by x."""
@@ -119,17 +126,6 @@ def _with(model: Model, names: Sequence[str], values: Sequence[Any]) -> Model:
 def without_effects(model: Model) -> Model:
     """The model without its effects."""
     return dataclasses.replace(model, effects=())
-
-
-@eqx.filter_jit
-def _values(like: Model, built: tuple[str, ...], pressure: float, x: jax.Array) -> jax.Array:
-    model = constrain(dict(zip(built, x, strict=True)), like, pressure)
-    return jnp.stack([get(model, p) for p in built])
-
-
-@eqx.filter_jit
-def _jacobian(like: Model, built: tuple[str, ...], pressure: float, x: jax.Array) -> jax.Array:
-    return jax.jacfwd(lambda y: _values(like, built, pressure, y))(x)
 
 
 def _inside(model: Model) -> Model:

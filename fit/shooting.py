@@ -9,9 +9,11 @@ in step, so that their windows fill one batch.
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import math
 import os
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,10 +23,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ljjax import batch, fast
+from ljjax import batch
 from ljjax.fit.windows import STEPS, Windows
 from ljjax.model import Model
-from ljjax.step import Drive, How, Unrolled, in_balance
+from ljjax.step import Drive, How, Unrolled, advance, constants, in_balance
 
 TILE, NARROW = 64, 32
 """Windows simulated in one call: wide enough for vector units, small enough for a core's cache. Where they go on from
@@ -209,7 +211,9 @@ class _Batch:
             slopes = jax.tree.map(lambda x: np.concatenate([x, np.zeros_like(x[:2])]), slopes)
             slope = jax.tree.map(lambda *x: np.concatenate(x), slope, _alike(slope))
         given = model, slopes, starts.state, slope, drive, h
-        ends, end_slopes, path, path_slopes = _tiled(partial(_shoot, joints, onward), given, NARROW if onward else TILE)
+        ends, end_slopes, path, path_slopes = _tiled(
+            partial(_kernel, joints, onward), given, NARROW if onward else TILE
+        )
         if onward:
             return ends, end_slopes, path, path_slopes, None
         passed = np.stack([np.stack([y[-2:] for y in x], axis=1) for x in (end_slopes[1].q, end_slopes[1].z)])
@@ -302,13 +306,16 @@ def _tiled(kernel: Callable, arguments: Any, tile: int) -> Any:
     def work(i: np.ndarray) -> Any:
         return jax.tree.map(np.asarray, kernel(*jax.tree.map(lambda x: np.ascontiguousarray(x[..., i]), arguments)))
 
-    if len(index) == 1:
-        parts = [work(index[0])]
-    else:
-        form = (getattr(kernel, "func", kernel), getattr(kernel, "args", ()), jax.tree.structure(arguments))
-        shapes = (*form, *(x.shape[:-1] for x in leaves))
-        parts = [work(index[0])] if shapes not in _ready else []  # compile once, not in every thread
+    form = (getattr(kernel, "func", kernel), getattr(kernel, "args", ()), jax.tree.structure(arguments))
+    shapes = (*form, *(x.shape[:-1] for x in leaves))
+    parts = []
+    if shapes not in _ready:  # compile once, not in every thread
+        with _uncollected():
+            parts = [work(index[0])]
         _ready.add(shapes)
+    if len(index) == 1:
+        parts = parts or [work(index[0])]
+    else:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             parts += pool.map(work, index[len(parts) :])
     return jax.tree.map(lambda *x: np.concatenate(x, axis=-1)[..., :count], *parts)
@@ -317,9 +324,27 @@ def _tiled(kernel: Callable, arguments: Any, tile: int) -> Any:
 _ready: set[Any] = set()
 
 
+@contextlib.contextmanager
+def _uncollected() -> Iterator[None]:
+    """Without the garbage collector, which takes a quarter of the time of tracing, and finds nothing."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()
+
+
 def _options() -> dict[str, Any]:
     """Compiler options of the kernels here, which are compiled once a fit: less is optimised, and they run as fast."""
     return {**batch.options(), "xla_backend_optimization_level": 1} if batch.options() else {}
+
+
+def _quick() -> dict[str, Any]:
+    """Compiler options of what takes longer to compile than to run: as little work of the compiler as there is."""
+    least = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+    return {**batch.options(), **least} if batch.options() else {}
 
 
 def _push(f: Callable, primals: Any, tangents: Any) -> Any:
@@ -331,7 +356,7 @@ def _push(f: Callable, primals: Any, tangents: Any) -> Any:
     return jax.vmap(along, out_axes=(None, 0))(tangents)
 
 
-@partial(jax.jit, compiler_options=_options())
+@partial(jax.jit, compiler_options=_quick())
 def _balance(model, slopes, q, v, drive):
     """Starting states from the data, (W,), and their derivatives (k + 1, W)."""
 
@@ -347,26 +372,47 @@ def _balance(model, slopes, q, v, drive):
     return _push(f, (model, q), (slopes, tuple(along for _ in q)))
 
 
+@partial(jax.jit, compiler_options=_quick())
+def _constants(model, slopes):
+    """What no step changes, and its derivatives."""
+    return _push(constants, (model,), (slopes,))
+
+
+def _kernel(joints: bool, onward: bool, model, slopes, *rest):
+    """`_shoot`, with the constants it needs."""
+    return _shoot(joints, onward, model, slopes, *_constants(model, slopes), *rest)
+
+
 @partial(jax.jit, static_argnums=(0, 1), compiler_options=_options())
-def _shoot(joints: bool, onward: bool, model, slopes, state, slope, drive, h):
+def _shoot(joints: bool, onward: bool, model, slopes, c, c_slopes, state, slope, drive, h):
     """Middles and ends of the windows, the path (q, v, what is seen − q) from start to end, and all derivatives."""
 
-    def f(model, state):
-        def run(m, s, d, h):
-            return fast.path(m, s, d, h, How(2 if onward else 3, loops=True))
+    how = How(2 if onward else 3, loops=True)
 
-        if model.effects or model.lever:  # which know of one robot only
-            run = jax.vmap(run, in_axes=(0, 0, 1, 0), out_axes=1)
-        after = run(model, state, drive, h)  # the model itself is arithmetic on whole batches, traced sooner so
-        full = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, after)
+    def one(model, c, state, drive, h):
+        return advance(model, c, state, drive, h, how)
+
+    if model.effects or model.lever:  # which know of one robot only
+        one = jax.vmap(one)  # the model itself is arithmetic on whole batches, traced sooner so
+
+    def step(both, d):  # derivatives inside the loop, not of the loop: it is traced once
+        state, slope = both
+        new = _push(lambda m, c, s: one(m, c, s, d, h), (model, c, state), (slopes, c_slopes, slope))
+        return new, new
+
+    def read(first, after):
+        full = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, after)
         seen = () if full.sensed is None else tuple(a - b for a, b in zip(full.sensed, full.q, strict=True))
         path = (full.q, full.v, seen)
         if not joints:
             path = tuple((sum(x) / len(x),) if x else () for x in path)
-        half = drive.left.shape[0] // 2 - 1
-        return (jax.tree.map(lambda x: x[half], after), jax.tree.map(lambda x: x[-1], after)), path
+        half = len(drive.left) // 2
+        middle_and_end = jax.tree.map(lambda x: x[half - 1 :: half], after)
+        return tuple(jax.tree.map(lambda x, i=i: x[i], middle_and_end) for i in (0, 1)), path
 
-    (ends, path), (end_slopes, path_slopes) = _push(f, (model, state), (slopes, slope))
+    after, after_slopes = jax.lax.scan(step, (state, slope), drive)[1]
+    ends, path = read(state, after)
+    end_slopes, path_slopes = jax.vmap(read, in_axes=(0, 1))(slope, after_slopes)
     return ends, end_slopes, path, path_slopes
 
 

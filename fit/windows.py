@@ -73,7 +73,7 @@ def motion(run: Run, n: int, source: Source = "commands") -> Motion:
         moved = np.degrees(np.std(y.mean(axis=1)))
         raise InputError(f"{run.path}: no excitation: the shape moves by {moved:.2g}° only, no more than its noise")
     q0, v0 = np.asarray(initial_shape(run, n)), np.zeros(n)
-    still = max(1, int(np.sum(t <= _first_change(inputs.t, inputs.tendons, inputs.pressure_kpa, t))))
+    still = max(1, int(np.sum(t <= _first_change(np.asarray(inputs.t), tendons, vacuum, t))))
     spread = float(np.sqrt(np.mean(noise**2) / min(still, 200) / y.shape[1]))
     if (moving := _begins_moving(t, y, noise)) is not None:
         q0, v0, spread = np.broadcast_to(moving[0], (n,)), np.broadcast_to(moving[1], (n,)), 2 * spread

@@ -103,6 +103,11 @@ class How(NamedTuple):
     loops: bool = False
 
 
+def _piece(how: How, x: Any) -> Any:
+    """What several results need, in loops a piece of its own: the same for all joints, it is compiled once."""
+    return apart(x) if how.loops else x
+
+
 def _running(x: Sequence[Array]) -> list[Array]:
     out = list(x)
     for i in range(1, len(out)):
@@ -118,31 +123,33 @@ def directions(q: Sequence[Array]) -> tuple[Vector, Vector]:
 
 
 def inertia_and_coriolis(
-    c: Constants, sin: Vector, cos: Vector, v: Sequence[Array]
+    how: How, c: Constants, sin: Vector, cos: Vector, v: Sequence[Array]
 ) -> tuple[tuple[Vector, ...], Vector]:
     """M(q), its lower rows, and C(q, v)v, from `directions(q)`: sums of A_ab cos(ψ_a − ψ_b) from the end on."""
     n = len(v)
     m: list[list[Any]] = [[None] * n for _ in range(n)]
     for i in range(n - 1, -1, -1):
         for k in range(i, -1, -1):
-            x = c.own[i] if i == k else apart(c.off[i] * (cos[i] * cos[k] + sin[i] * sin[k]))
+            x = c.own[i] if i == k else apart(c.off[i] * _piece(how, cos[i] * cos[k] + sin[i] * sin[k]))
             if i + 1 < n:
                 x = x + m[i + 1][k] - m[i + 1][k + 1] + (m[i][k + 1] if k < i else m[i + 1][i])
             elif k < i:
                 x = x + m[i][k + 1]
             m[i][k] = apart(x)
-    square = [w * w for w in _running(v)]
-    along, across = (_weighted(c.off, [x * w for x, w in zip(part, square, strict=True)]) for part in (cos, sin))
+    square = [_piece(how, w * w) for w in _running(v)]
+    along, across = (
+        _weighted(how, c.off, [_piece(how, x * w) for x, w in zip(part, square, strict=True)]) for part in (cos, sin)
+    )
     force = [apart(sin[i] * along[i] - cos[i] * across[i]) for i in range(n)]
     return tuple(tuple(row[: i + 1]) for i, row in enumerate(m)), tuple(_running(force[::-1])[::-1])
 
 
-def _weighted(off: Vector, x: Sequence[Array]) -> list[Array]:
+def _weighted(how: How, off: Vector, x: Sequence[Array]) -> list[Array]:
     """Σ_k A_ik x_k over k ≠ i."""
     before = _running(x[:-1])
-    after = _running([w * y for w, y in zip(off[:0:-1], x[:0:-1], strict=True)])[::-1]
+    after = _running([_piece(how, w * y) for w, y in zip(off[:0:-1], x[:0:-1], strict=True)])[::-1]
     inside = [apart(off[i] * before[i - 1] + after[i]) for i in range(1, len(x) - 1)]
-    return [*after[:1], *inside, off[-1] * before[-1]] if before else [jnp.zeros_like(y) for y in x]
+    return [*after[:1], *inside, _piece(how, off[-1] * before[-1])] if before else [jnp.zeros_like(y) for y in x]
 
 
 def _less(how: How, x: Array, terms: Iterable[tuple[Array, Array]]) -> Array:
@@ -199,14 +206,14 @@ class _Stage(NamedTuple):
     slip: Vector | None
 
 
-def _joint(stage: _Stage, i: int, v: Array, side: Array) -> tuple[Array, Array]:
+def _joint(how: How, stage: _Stage, i: int, v: Array, side: Array) -> tuple[Array, Array]:
     """Torque that depends on joint i alone (friction, elasticity, effects) [N·m], and z [rad], at the rate v; `side`
     is the sign of v, or at 0 the side whose slope to take."""
     f = stage.friction
     start = stage.z[i]
     q = stage.q[i] + stage.s * v
-    bend = stribeck(f, v) if stage.slip is None else stage.slip[i] * stribeck(f, v)
-    z = (start + stage.s * v) / (1 + stage.s * f.sigma0 * (side * v) / bend)
+    bend = _piece(how, stribeck(f, v) if stage.slip is None else stage.slip[i] * stribeck(f, v))
+    z = _piece(how, (start + stage.s * v) / (1 + stage.s * f.sigma0 * (side * v) / bend))
     torque = stage.phi[i] * (f.sigma0 * z + f.sigma1 * (z - start) / stage.s + f.sigma2 * v) + stage.alpha2[i] * q
     for effect, memory in zip(stage.effects, stage.memory, strict=True):
         more = effect.torque(memory, i, q, v, stage)
@@ -214,15 +221,16 @@ def _joint(stage: _Stage, i: int, v: Array, side: Array) -> tuple[Array, Array]:
     return torque, z
 
 
-def _own(stage: _Stage, v: Sequence[Array], side: Sequence[Array]) -> tuple[list[Array], list[Array]]:
+def _own(how: How, stage: _Stage, v: Sequence[Array], side: Sequence[Array]) -> tuple[list[Array], list[Array]]:
     """`_joint` of all joints: torques and deflections."""
-    pairs = [_joint(stage, i, v[i], side[i]) for i in range(len(v))]
+    pairs = [_joint(how, stage, i, v[i], side[i]) for i in range(len(v))]
     return [torque for torque, _ in pairs], [z for _, z in pairs]
 
 
-def _felt(stage: _Stage, v: Sequence[Array], side: Sequence[Array]) -> Any:
+def _felt(how: How, stage: _Stage, v: Sequence[Array], side: Sequence[Array]) -> Any:
     """`_own`, and its slopes over each joint's own rate."""
-    return apart(jax.jvp(lambda x: _own(stage, x, side), (list(v),), ([jnp.ones_like(x) for x in v],)))
+    v, side = _piece(how, (list(v), list(side)))
+    return apart(jax.jvp(lambda x: _own(how, stage, x, side), (v,), ([jnp.ones_like(x) for x in v],)))
 
 
 def _residual(how: How, stage: _Stage, v: Sequence[Array], torque: Sequence[Array]) -> list[Array]:
@@ -252,7 +260,7 @@ def _matrix(stage: _Stage, v: Sequence[Array], slope: Sequence[Array]) -> list[l
 def _newton(how: How, start: Vector, stage: _Stage) -> tuple[Vector, Vector]:
     def iterate(carry: tuple[Vector, Vector]) -> tuple[Vector, Vector]:
         v, side = carry
-        (torque, _), (slope, _) = _felt(stage, v, side)
+        (torque, _), (slope, _) = _felt(how, stage, v, side)
         right, matrix = apart(([-r for r in _residual(how, stage, v, torque)], _matrix(stage, v, slope)))
         step = _substitute(how, _factor(how, matrix), right)
         new = [x + dx for x, dx in zip(v, step, strict=True)]
@@ -276,7 +284,7 @@ def _newton(how: How, start: Vector, stage: _Stage) -> tuple[Vector, Vector]:
 def _solve(how: How, start: Vector, stage: _Stage) -> tuple[Vector, Vector]:
     """The rates that solve a stage, and the deflections there."""
     v, side = _newton(how, start, stage)
-    return v, tuple(_own(stage, v, side)[1])
+    return v, tuple(_own(how, stage, v, side)[1])
 
 
 @_solve.defjvp
@@ -284,8 +292,8 @@ def _solve_jvp(how, primals, tangents):
     (start, stage), (_, moved) = primals, tangents
     v, side = _newton(how, start, stage)
     side = tuple(jnp.where(x == 0, s, jnp.sign(x)) for x, s in zip(v, side, strict=True))
-    (torque, z), (slope, stretch) = _felt(stage, v, side)
-    more, bent = apart(jax.jvp(lambda given: _own(given, v, side), (stage,), (moved,))[1])
+    (torque, z), (slope, stretch) = _felt(how, stage, v, side)
+    more, bent = apart(jax.jvp(lambda given: _own(how, given, v, side), (stage,), (moved,))[1])
     change = jax.jvp(lambda given: _residual(how, given, v, torque), (stage,), (moved,))[1]
     right = apart([-(x + stage.s * y) for x, y in zip(change, more, strict=True)])
     dv = _substitute(how, _factor(how, _matrix(stage, v, slope)), right)
@@ -394,7 +402,7 @@ def advance(model: Model, c: Constants, state: Unrolled, drive: Drive, h: Any, h
     now, memory, alpha2, phi = _inputs(model, _now(model, state, drive, h), state.memory)
     now = now._replace(alpha2=alpha2, phi=phi)
     still = tuple(jnp.zeros_like(x) for x in state.q), tuple(jnp.ones_like(x) for x in state.q)
-    m, coriolis = inertia_and_coriolis(c, *(still if model.constant_mass else (now.sin, now.cos)), state.v)
+    m, coriolis = inertia_and_coriolis(how, c, *(still if model.constant_mass else (now.sin, now.cos)), state.v)
     for effect in model.effects:
         m = effect.inertia(m, now)
     slip = None

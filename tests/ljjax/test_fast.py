@@ -53,7 +53,10 @@ def test_inertia_and_coriolis_are_the_chains(robot, n):
     for seed in range(5):
         q, v = np.random.default_rng(seed).normal(size=(2, n))
         m, force = step.inertia_and_coriolis(
-            step.constants(model), *step.directions(step.unroll(jnp.asarray(q))), step.unroll(jnp.asarray(v))
+            step.How(),
+            step.constants(model),
+            *step.directions(step.unroll(jnp.asarray(q))),
+            step.unroll(jnp.asarray(v)),
         )
         full = np.array([[m[max(i, k)][min(i, k)] for k in range(n)] for i in range(n)])
         np.testing.assert_allclose(full, mass_matrix(model.chain, jnp.asarray(q)), rtol=1e-11, atol=1e-18)
