@@ -32,8 +32,9 @@ def left_out(estimate: Estimate, fold: np.ndarray) -> np.ndarray:
         own = np.einsum("nck,nc,ncl->kl", j, weight[mine], j, optimize=True)
         pull = np.einsum("nck,nc,nc->k", j, weight[mine], error, optimize=True)
         rest = (whole - own) * np.outer(reach, reach)
-        root = np.linalg.cholesky(rest + (1e-9 * np.trace(rest) + 1) * np.eye(len(reach)))
-        moved = reach * lsq_linear(root.T, np.linalg.solve(root, reach * pull), (-1.0, 1.0)).x
+        values, vectors = np.linalg.eigh(rest)
+        root = np.sqrt(np.maximum(values, 0.0) + 1)
+        moved = reach * lsq_linear(root[:, None] * vectors.T, vectors.T @ (reach * pull) / root, (-1.0, 1.0)).x
         out[mine] = error + np.einsum("nck,k->nc", j, moved)
     return out
 
