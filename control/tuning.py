@@ -21,7 +21,7 @@ from ljjax.errors import InputError
 from ljjax.law.parts import Kind
 from ljjax.model import Model, astype
 
-RATE, SPREAD = 0.06, 0.2
+RATE, SPREAD = 0.03, 0.2
 """Adam's first step, and how far restarts begin from the start (standard deviation), in widths of the box."""
 
 
@@ -91,7 +91,7 @@ def tune(
 ) -> Tuned:
     """Tune a law's gains to a specification, on the robots that an uncertain model may be.
 
-    Adam on coordinates in a box all of which is feasible (`ljjax.control.box`), from the start and from points around
+    Adam on the loss's logarithm, over coordinates in a box all of which is feasible (`ljjax.control.box`), from the start and from points around
     it side by side; of all points seen the best is taken, the start included.
 
     Args:
@@ -171,7 +171,8 @@ def _descend(
         value, gradient = problem.value_and_gradient(gains)
         for kept, x in ((losses, value), (places, np.asarray(u)), (points, gains)):
             kept.append(x)
-        u, state = move(u, state, jnp.asarray(np.einsum("rk,rkj->rj", gradient, np.asarray(slopes(u)))))
+        downhill = np.einsum("rk,rkj->rj", gradient, np.asarray(slopes(u))) / value[:, None]  # of the log of the loss
+        u, state = move(u, state, jnp.asarray(downhill))
         if progress:
             progress("tuning", k + 1, iterations)
     return np.stack(losses), np.stack(places), np.stack(points)
