@@ -91,8 +91,8 @@ def tune(
 ) -> Tuned:
     """Tune a law's gains to a specification, on the robots that an uncertain model may be.
 
-    Adam on the loss's logarithm, over coordinates in a box all of which is feasible (`ljjax.control.box`), from the start and from points around
-    it side by side; of all points seen the best is taken, the start included.
+    Adam on the loss's logarithm, over coordinates in a box all of which is feasible (`ljjax.control.box`), from the
+    start and from points around it side by side; of all points seen the best is taken, the start included.
 
     Args:
         spec: None for `spec.default` of the law's reach.
