@@ -2,6 +2,7 @@
 
     from ljjax import control
     made = control.design(model, "integral")              # a law, and what it reaches
+    made = control.tune(model, "integral").made           # the same, its gains tuned
     loop = control.simulate(made.law, model, control.scenario(made.law, theta, stiffness, 5.0))
     control.export(made, "law.json", header_out="law.h")  # for the rig: `ljjax.law` runs it, without JAX
 
@@ -10,25 +11,46 @@
 
 from typing import TYPE_CHECKING, Any
 
-__all__ = ["Design", "Hardware", "Loop", "Scenario", "design", "export", "parity", "scenario", "simulate"]
+__all__ = [
+    "Design",
+    "Hardware",
+    "Loop",
+    "Problem",
+    "Scenario",
+    "Spec",
+    "Tuned",
+    "design",
+    "export",
+    "parity",
+    "scenario",
+    "simulate",
+    "tune",
+]
 
 if TYPE_CHECKING:
     from ljjax.control.files import export
     from ljjax.control.loop import Loop, Scenario, scenario, simulate
+    from ljjax.control.problem import Problem
     from ljjax.control.runtimes import parity
+    from ljjax.control.spec import Spec
     from ljjax.control.statics import Hardware
     from ljjax.control.synthesis import Design, design
+    from ljjax.control.tuning import Tuned, tune
 
 _HOME = {
     "Design": "synthesis",
     "Hardware": "statics",
     "Loop": "loop",
+    "Problem": "problem",
     "Scenario": "loop",
+    "Spec": "spec",
+    "Tuned": "tuning",
     "design": "synthesis",
     "export": "files",
     "parity": "runtimes",
     "scenario": "loop",
     "simulate": "loop",
+    "tune": "tuning",
 }
 
 

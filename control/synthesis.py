@@ -46,7 +46,11 @@ def default_gains(model: Model, at_rest: Statics, rate_hz: Array) -> Gains:
 def build(model: Model, kind: Kind, gains: Gains, hardware: Hardware) -> Law:
     """The law of a model, unchecked; to be differentiated by the model's parameters, the gains and the hardware's
     numbers, all of them arrays and `theta_max_rad` given."""
-    at_rest = statics(model, hardware.vacuum_max_kpa, hardware.co_contraction_n)
+    return assemble(model, statics(model, hardware.vacuum_max_kpa, hardware.co_contraction_n), kind, gains, hardware)
+
+
+def assemble(model: Model, at_rest: Statics, kind: Kind, gains: Gains, hardware: Hardware) -> Law:
+    """`build` where the statics are known, which no gain changes."""
     stiffness = tip_stiffness(model, at_rest.alpha2 + model.friction.sigma0 * at_rest.phi, gains.gamma)
     wanted = stiffness[0] + jnp.linspace(0.0, 1.0, ENTRIES, dtype=stiffness.dtype) * (stiffness[-1] - stiffness[0])
     f, n = model.friction, jnp.asarray(model.n, stiffness.dtype)

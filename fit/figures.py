@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ljjax import page
 from ljjax.fit.points import UNIT, Points
 from ljjax.fit.result import FitResult, StaticResult
 from ljjax.fit.static import Stage, predict, prediction_sd
@@ -19,14 +15,6 @@ from ljjax.page import ACCENT, INK, MUTED, axes, legend
 def colours(count: int) -> np.ndarray:
     """(count, 4) colours from dark to light."""
     return matplotlib.colormaps["viridis"](np.linspace(0.05, 0.88, max(count, 1)))
-
-
-def panels(heights: Sequence[float], width: float = 5.6) -> tuple[Figure, list[Axes]]:
-    """A figure in the page's style of panels one below the other, of these heights in inches, over one x axis."""
-    with matplotlib.rc_context(page._STYLE):
-        figure = Figure(figsize=(width, sum(heights)), layout="constrained")
-        rows = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=list(heights))
-        return figure, list(rows[:, 0])
 
 
 def _curve(kind: str, pressure: np.ndarray, theta: np.ndarray) -> Points:

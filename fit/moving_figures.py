@@ -17,11 +17,11 @@ from scipy import stats
 
 from ljjax.energy import phi
 from ljjax.fit.dynamic import Estimate
-from ljjax.fit.figures import colours, panels
+from ljjax.fit.figures import colours
 from ljjax.fit.moving import DynamicResult, RunError
 from ljjax.friction import sliding_torque
 from ljjax.model import Model, get, replace
-from ljjax.page import ACCENT, INK, MUTED, axes, legend
+from ljjax.page import ACCENT, INK, MUTED, axes, legend, panels
 
 MEASURED = "#c9d2db"
 CLASH = "#c77700"

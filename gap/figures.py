@@ -13,11 +13,10 @@ from matplotlib.colors import Normalize, PowerNorm
 from matplotlib.figure import Figure
 
 from ljjax import page
-from ljjax.fit.figures import panels
 from ljjax.gap.result import LAST, Diagnosis, Finding
 from ljjax.gap.static_figures import BASE_COLOUR, plain
 from ljjax.gap.story import Course, Step, percent
-from ljjax.page import ACCENT, INK, MUTED, axes, legend
+from ljjax.page import ACCENT, INK, MUTED, axes, legend, panels
 
 MEASURED, PALE, BETTER = "#c9d2db", "#9fb6c6", "#1b7f4b"
 NAMES = {"given": "given model", "base": "base refitted", "extended": "with the effects"}

@@ -62,6 +62,14 @@ def axes(width: float = 5.6, height: float = 3.9) -> tuple[Figure, Axes]:
         return figure, figure.add_subplot()
 
 
+def panels(heights: Sequence[float], width: float = 5.6) -> tuple[Figure, list[Axes]]:
+    """A figure in the page's style of panels one below the other, of these heights in inches, over one x axis."""
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(width, sum(heights)), layout="constrained")
+        rows = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=list(heights))
+        return figure, list(rows[:, 0])
+
+
 def legend(owner: Axes | Figure, **kwargs: Any) -> None:
     """A legend in the page's style, on axes or, with `loc="outside …"`, beside them."""
     with matplotlib.rc_context(_STYLE):

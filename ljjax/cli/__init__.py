@@ -21,6 +21,7 @@ COMMANDS = {
     "gap": "find where model and robot disagree, and which effect causes it",
     "simulate": "replay a log's commands through a model",
     "sweep": "simulate over ranges of parameters",
+    "tune": "tune a robot's control law through the simulated closed loop",
     "export": "write a robot's control law as one file for the rig",
     "info": "what logs hold, and whether they meet the contract",
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -52,13 +53,7 @@ def command(
     from ljjax.control import Hardware, design, export
     from ljjax.law.parts import USED
 
-    gains: dict[str, float] = {}
-    for given in gain:
-        name, _, value = given.partition("=")
-        try:
-            gains[name.strip()] = float(value)
-        except ValueError:
-            raise InputError(f"--gain {given}: expected NAME=VALUE, such as gamma=0.5") from None
+    gains = read_gains(gain)
     theta_max = None if theta_max_deg is None else math.radians(theta_max_deg)
     limits = tension_min_n, tension_max_n, co_contraction_n, tension_slew_n_s, vacuum_max_kpa, vacuum_slew_kpa_s
     loaded = modelfile.load(model)
@@ -71,3 +66,15 @@ def command(
     )
     print(f"reaches ±{math.degrees(made.law.limits.theta_max_rad):.4g}° a segment and {low:.4g} to {high:.4g} N/m")
     print(f"Written: {out}" + ("" if header is None else f", {header}"))
+
+
+def read_gains(given: Sequence[str]) -> dict[str, float]:
+    """Gains by name, from NAME=VALUE. Raises InputError for anything else."""
+    gains: dict[str, float] = {}
+    for text in given:
+        name, _, value = text.partition("=")
+        try:
+            gains[name.strip()] = float(value)
+        except ValueError:
+            raise InputError(f"--gain {text}: expected NAME=VALUE, such as gamma=0.5") from None
+    return gains
