@@ -78,9 +78,6 @@ class Symbol:
     def __neg__(self) -> Symbol:
         return self.lines.keep(f"-{self.name}")
 
-    def __lt__(self, other: Any) -> Symbol:
-        return self._with("<", other, kind="int")
-
     def __gt__(self, other: Any) -> Symbol:
         return self._with(">", other, kind="int")
 
@@ -159,7 +156,8 @@ def header(law: Law, sha256: str = "", about: Mapping[str, Any] | None = None) -
         "sha256 of law.json": sha256 or "-",
         **(about or {}),
     }
-    inputs = [f"measured->{x}" for x in Measured._fields] + [f"command->{x}" for x in Command._fields]
+    groups = {"state": State, "measured": Measured, "command": Command}
+    inputs = [f"{name}->{x}" for name, group in groups.items() for x in group._fields]
     parts = [
         "/* A control law of ljjax for a layer-jamming continuum robot. Generated; do not edit.",
         *(f" * {_ascii(name)}: {_ascii(str(value))}" for name, value in top.items()),
@@ -167,6 +165,9 @@ def header(law: Law, sha256: str = "", about: Mapping[str, Any] | None = None) -
         f"#ifndef {PREFIX.upper()}_H",
         f"#define {PREFIX.upper()}_H",
         "#include <math.h>",
+        "#if !defined(__GNUC__) || defined(__clang__) /* GCC with -std=c99 does so by itself */",
+        "#pragma STDC FP_CONTRACT OFF",
+        "#endif",
         "#ifdef LJJAX_FLOAT",
         "typedef float ljjax_real;",
         "#define LJJAX_M(x) x##f",
@@ -191,12 +192,13 @@ def header(law: Law, sha256: str = "", about: Mapping[str, Any] | None = None) -
         "  return state;",
         "}",
         "",
-        "/* One tick. Returns 1; or 0, with state and output untouched, where an input is not finite: hold the last",
-        " * output then. */",
+        "/* One tick. Returns 1; or 0, with state and output untouched, where an input, the state or a result is not",
+        " * finite: hold the last output then, and start again where it is the state. */",
         f"static inline int {PREFIX}_step({PREFIX}_state *state, const {PREFIX}_measured *measured,",
         f"    const {PREFIX}_command *command, {PREFIX}_output *output) {{",
-        f"  if (!({' && '.join(f'isfinite({x})' for x in inputs)})) return 0;",
+        *_finite(inputs),
         *(f"  {line}" for line in body),
+        *_finite(dict.fromkeys(results)),
         *(f"  state->{field} = {_name(x)};" for field, x in zip(State._fields, after, strict=True)),
         *(f"  output->{field} = {_name(x)};" for field, x in zip(Output._fields, output, strict=True)),
         "  return 1;",
@@ -233,6 +235,10 @@ def _constants(law: Law, used: str) -> list[str]:
         else:
             out.append(f"static const ljjax_real {PREFIX}_{name} = {_number(value)}; /* {_ascii(unit)} */")
     return out
+
+
+def _finite(names: Iterable[str]) -> list[str]:
+    return [f"  if (!isfinite({x})) return 0;" for x in names]
 
 
 def _struct(name: str, fields: tuple[str, ...], units: Mapping[str, str]) -> list[str]:

@@ -103,7 +103,7 @@ def parse(data: Mapping[str, Any], where: str) -> Law:
             raise InputError(f"{where}: missing key {key}; export the law again")
     for key in data:
         if key not in _KEYS:
-            raise InputError(f"{where}: unknown key {key}; expected {', '.join(_KEYS)}")
+            raise InputError(f"{where}: unknown key {key!r}; expected {', '.join(_KEYS)}")
     if not isinstance(data["law"], str) or data["law"] not in KINDS:
         raise InputError(f"{where}: law is {data['law']!r}; expected one of {', '.join(KINDS)}")
     groups = {name: _group(where, name, kind, data[name]) for name, kind in GROUPS.items()}
@@ -119,7 +119,11 @@ def parse(data: Mapping[str, Any], where: str) -> Law:
             "after its export; export the law again"
         )
     golden = _golden(where, data["golden"])
-    if wrong := mismatch(law, golden):
+    try:
+        wrong = mismatch(law, golden)
+    except (ArithmeticError, ValueError) as error:  # numbers that are possible one by one, and not together
+        wrong = f"cannot be computed ({error})"
+    if wrong:
         raise InputError(f"{where}: golden vectors: {wrong}; export the law again with this version of ljjax")
     return law
 
@@ -147,7 +151,7 @@ def possible(law: Law, where: str) -> None:
     for name in ("lever_arm_m", "sigma0", "mu_c", "v_s"):
         expect(getattr(robot, name) > 0, f"robot.{name}", getattr(robot, name), "> 0")
     expect(robot.mu_s >= robot.mu_c, "robot.mu_s", robot.mu_s, "at least robot.mu_c")
-    expect(robot.sigma3 >= 1, "robot.sigma3", robot.sigma3, "≥ 1")
+    expect(1 <= robot.sigma3 <= 100, "robot.sigma3", robot.sigma3, "between 1 and 100")
     least, most, level = limits.tension_min_n, limits.tension_max_n, limits.co_contraction_n
     expect(least >= 0, "limits.tension_min_n", least, "≥ 0")
     expect(most > least, "limits.tension_max_n", most, f"> tension_min_n = {least:g}")
@@ -180,7 +184,7 @@ def _group(where: str, name: str, kind: type, given: Any) -> Any:
             raise InputError(f"{where}: missing key {name}.{key} [{UNITS[f'{name}.{key}']}]")
     for key in given:
         if key not in fields:
-            raise InputError(f"{where}: unknown key {name}.{key}; expected {', '.join(fields)}")
+            raise InputError(f"{where}: {name}: unknown key {key!r}; expected {', '.join(fields)}")
     if kind is not Tables:
         return kind(**{key: _number(where, f"{name}.{key}", value) for key, value in given.items()})
     for key, value in given.items():

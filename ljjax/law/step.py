@@ -30,8 +30,10 @@ from ljjax.law.parts import Command, Law, Measured, Output, State
 
 EPSILON_KPA = 1e-4
 """Width of the model's smoothing of √u_P at 0."""
-LEAST_RATIO = 1e-12
-"""Added to |v|/v_s, so that its power has derivatives at rest."""
+LEAST_RATIO, MOST_RATIO = 1e-12, 1e3
+"""Of |v|/v_s: added, so that its power has derivatives at rest; and where exp(−(|v|/v_s)^σ₃) is 0 long since."""
+FARTHEST_RAD = 3.141592653589793
+"""The largest segment angle that is taken for a measurement; a sensor that says more is cut to it."""
 
 
 def root_of(ops: Any, vacuum: Any) -> Any:
@@ -47,6 +49,12 @@ def vacuum_of(ops: Any, root: Any) -> Any:
 
 def _between(ops: Any, x: Any, low: Any, high: Any) -> Any:
     return ops.larger(ops.smaller(x, high), low)
+
+
+def _next(ops: Any, before: Any, change: Any, low: Any, high: Any) -> tuple[Any, Any]:
+    """Between which values a number may be a tick later: low and high, or as far on the way there as it may change."""
+    least, most = before - change, before + change
+    return _between(ops, low, least, most), _between(ops, high, least, most)
 
 
 def _dead(ops: Any, x: Any, zone: Any) -> Any:
@@ -81,22 +89,28 @@ def step(ops: Any, law: Law, state: State, measured: Measured, command: Command)
         ops: the arithmetic: `ljjax.law.ops` for Python floats, `ljjax.control.jax_ops` for JAX.
         law, state: as from `ljjax.law.load` and `start`.
         measured, command: all numbers finite; commands beyond the limits are cut to them.
+
+    Tensions and vacuum leave the state's, those applied last, no faster than their slew, wherever these are: what lies
+    outside its limits comes in at the slew. A tension or a vacuum below 0 counts as 0.
     """
     gains, robot, limits, tables, t = law.gains, law.robot, law.limits, law.tables, law.period_s
     n, g = robot.segments, robot.lever_arm_m
 
     low, high = limits.stiffness_min_n_m, limits.stiffness_max_n_m
     wanted = _look_up(ops, tables.root, _place(ops, (command.stiffness - low) / (high - low), len(tables.root)))
-    most = limits.vacuum_slew_kpa_s * t
-    change = _between(ops, vacuum_of(ops, wanted) - state.vacuum, -most, most)
-    vacuum = _between(ops, state.vacuum + change, 0.0, limits.vacuum_max_kpa)
+    before = ops.larger(state.vacuum, 0.0)
+    vacuum = _between(
+        ops, vacuum_of(ops, wanted), *_next(ops, before, limits.vacuum_slew_kpa_s * t, 0.0, limits.vacuum_max_kpa)
+    )
 
     share = root_of(ops, measured.vacuum) / root_of(ops, limits.vacuum_max_kpa)
     at = _place(ops, share, len(tables.alpha2))
     alpha2 = _look_up(ops, tables.alpha2, at)
 
-    q_sum = measured.q_sum
-    rate = state.rate + t / (t + gains.filter_s) * ((q_sum - state.q_sum) / t - state.rate)
+    farthest = n * FARTHEST_RAD
+    q_sum = _between(ops, measured.q_sum, -farthest, farthest)
+    way = q_sum - _between(ops, state.q_sum, -farthest, farthest)
+    rate = state.rate + t / (t + gains.filter_s) * (way / t - state.rate)
     theta = _between(ops, command.theta, -limits.theta_max_rad, limits.theta_max_rad)
     error = ops.sin(q_sum - n * theta)
     torque = robot.alpha1 * ops.sin(q_sum) - gains.gamma * error + alpha2 * theta - gains.damping * g * g * rate
@@ -105,7 +119,7 @@ def step(ops: Any, law: Law, state: State, measured: Measured, command: Command)
     bristle = state.bristle
     if law.kind == "observer":
         v = _dead(ops, mean_rate, gains.still_rad_s)
-        ratio = ops.absolute(v) / robot.v_s + LEAST_RATIO
+        ratio = ops.smaller(ops.absolute(v) / robot.v_s, MOST_RATIO) + LEAST_RATIO
         rho = robot.mu_c + (robot.mu_s - robot.mu_c) * ops.exp(-ops.power(ratio, robot.sigma3))
         slip = t * robot.sigma0 * ops.absolute(v) / rho
         bend = robot.mu_s / robot.sigma0
@@ -117,24 +131,25 @@ def step(ops: Any, law: Law, state: State, measured: Measured, command: Command)
         torque = torque + integral
 
     net_wanted = torque / g
-    strongest = limits.tension_max_n - limits.tension_min_n
-    most = limits.tension_slew_n_s * t
-    net = _between(ops, net_wanted, state.net - most, state.net + most)
-    net = _between(ops, net, -strongest, strongest)
+    slew = limits.tension_slew_n_s * t
+    reach = slew, limits.tension_min_n, limits.tension_max_n
+    left_low, left_high = _next(ops, ops.larger(state.level + 0.5 * state.net, 0.0), *reach)
+    right_low, right_high = _next(ops, ops.larger(state.level - 0.5 * state.net, 0.0), *reach)
+    net = _between(ops, net_wanted, left_low - right_high, left_high - right_low)
 
     if law.kind != "passivity":
         # Anti-windup: growth that asks for more of what the tension cannot follow fades over one tick's slew.
         lacking = net_wanted - net
         moving = mean_rate / gains.still_rad_s
         growth = -gains.integral * t * _dead(ops, error, n * gains.dead_zone_rad) / (1.0 + moving * moving)
-        free = ops.larger(1.0 - ops.absolute(lacking) / most, 0.0)
+        free = ops.larger(1.0 - ops.absolute(lacking) / slew, 0.0)
         growth = ops.where(lacking * growth > 0.0, free * growth, growth)
+        strongest = limits.tension_max_n - limits.tension_min_n
         integral = _between(ops, integral + growth - t * gains.leak_per_s * integral, -g * strongest, g * strongest)
 
     half = 0.5 * net
-    pull = ops.absolute(half)
-    level = _between(ops, limits.co_contraction_n, state.level - 0.5 * most, state.level + 0.5 * most)
-    level = _between(ops, level, limits.tension_min_n + pull, limits.tension_max_n - pull)
+    least, most = ops.larger(left_low - half, right_low + half), ops.smaller(left_high - half, right_high + half)
+    level = _between(ops, limits.co_contraction_n, least, most)
     return (
         State(q_sum, rate, integral, bristle, net, level, vacuum),
         Output(level + half, level - half, vacuum),

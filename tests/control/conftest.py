@@ -39,5 +39,6 @@ def robot() -> Callable[..., Model]:
 
 @pytest.fixture(scope="session")
 def designs() -> dict[str, Design]:
-    """A law of every kind for `robot()`."""
-    return {kind: design(make_robot(), kind, hardware=Hardware(theta_max_rad=0.25)) for kind in LAWS}
+    """A law of every kind for `robot()`, with damping (by default this robot needs none beside its friction's)."""
+    hardware = Hardware(theta_max_rad=0.25)
+    return {kind: design(make_robot(), kind, gains={"damping": 50.0}, hardware=hardware) for kind in LAWS}

@@ -126,7 +126,7 @@ WRONG = [
 @pytest.mark.parametrize("given,said", WRONG, ids=[said for _, said in WRONG])
 def test_what_cannot_work_is_refused_in_a_line_with_the_mend(robot, given, said):
     options = {"kind": "integral", **given}
-    with pytest.raises(InputError, match=".*") as error:
+    with pytest.raises(InputError) as error:
         design(robot(effects=options.pop("effects", None)), **options, where="robot.toml")
     assert said in str(error.value) and "\n" not in str(error.value)
 
@@ -134,7 +134,7 @@ def test_what_cannot_work_is_refused_in_a_line_with_the_mend(robot, given, said)
 def test_a_command_out_of_reach_is_refused(designs):
     given = designs["integral"].law
     with pytest.raises(InputError, match=r"theta = 0.3 rad \(17.2°\) is out of reach; the law reaches ±0.25 rad"):
-        law.refuse_beyond(given, law.Command(0.3, 60.0))
+        law.refuse_beyond(given, law.Command(0.3, 6000.0))
     low, high = designs["integral"].reach["stiffness_n_m"]
     for k in (0.9 * low, 1.1 * high):
         with pytest.raises(InputError, match="N/m is out of reach; the law reaches"):

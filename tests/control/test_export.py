@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -14,11 +15,11 @@ from ljjax import law
 from ljjax.cli import main
 from ljjax.control import export, parity
 from ljjax.control.c99 import header
-from ljjax.control.runtimes import by_c, by_jax, errors
+from ljjax.control.runtimes import by_c, by_jax, by_python, errors, random_ticks
 from ljjax.errors import InputError
 from ljjax.law.file import content, dumps, load, parse, sha256
 from ljjax.law.golden import COLUMNS, record
-from ljjax.law.parts import Measured, State
+from ljjax.law.parts import State
 from ljjax.modelfile import ModelFile
 from ljjax.modelfile import dumps as dump_model
 
@@ -80,7 +81,7 @@ def test_a_law_loads_without_jax_and_numpy(designs, tmp_path):
     code = (
         "import sys; from ljjax import law; given = law.load(sys.argv[1]); "
         "state = law.start(given, 0.0, 0.0, 0.0, 0.0); "
-        "print(law.tick(given, state, law.Measured(0.0, 0.0), law.Command(0.1, 60.0))[1], "
+        "print(law.tick(given, state, law.Measured(0.0, 0.0), law.Command(0.1, 6000.0))[1], "
         "[m for m in ('jax', 'numpy') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code, tmp_path / "law.json"], capture_output=True, text=True, cwd=ROOT)
@@ -108,16 +109,22 @@ WRONG = [
     (lambda d: changed(d, "gains", "gamma", to="much"), "gains.gamma is 'much'; expected a number [N·m]"),
     (lambda d: changed(d, "gains", "gamma", to=True), "gains.gamma is True"),
     (lambda d: changed(d, "gains", "gamma", to=10**400), "gains.gamma is inf"),
-    (lambda d: changed(d, "gains", "more", to=1.0), "unknown key gains.more"),
+    (lambda d: changed(d, "gains", "more", to=1.0), "gains: unknown key 'more'"),
     (lambda d: changed(d, "tables", "phi", to=[1.0]), "tables.phi: expected a list of two numbers"),
     (lambda d: changed(d, "tables", "phi", to=[1.0, 2.0]), "tables.phi has 2 entries, tables.alpha2 65"),
     (lambda d: changed(d, "limits", "tension_min_n", to=-1.0), "limits.tension_min_n = -1: must be ≥ 0"),
-    (lambda d: changed(d, "more", to=1), "unknown key more"),
+    (lambda d: changed(d, "more", to=1), "unknown key 'more'"),
     (lambda d: {k: v for k, v in d.items() if k != "golden"}, "missing key golden"),
     (lambda d: resealed(changed(d, "golden", "rows", 7, 13, to=3.0)), "golden vectors: tick 7, "),
     (lambda d: resealed(changed(d, "golden", "rows", to=[])), "golden vectors: there are none"),
     (lambda d: resealed(changed(d, "golden", "rows", 3, to=[1.0])), "golden.rows: expected rows of 14 numbers"),
     (lambda d: resealed(changed(d, "gains", "damping", to=77.0)), "golden vectors: tick "),
+    (lambda d: resealed(changed(d, "golden", "rows", 0, 0, to=1e250)), "golden vectors: tick 0, "),
+    (
+        lambda d: resealed(changed(d, "limits", "tension_slew_n_s", to=5e-324)),
+        "golden vectors: cannot be computed (float",
+    ),
+    (lambda d: changed(d, "a\nb", to=1), r"unknown key 'a\nb'"),
 ]
 
 
@@ -198,8 +205,35 @@ def test_the_header_uses_only_the_numbers_that_its_law_needs(designs):
 
 
 def test_a_step_in_c_refuses_what_is_not_finite(designs):
-    given = designs["passivity"].law
-    tick = np.zeros((1, len(State._fields) + len(Measured._fields) + 2))
-    tick[0, 7] = np.nan
-    with pytest.raises(subprocess.CalledProcessError):
-        by_c(given, tick)
+    """Inputs, a state, and with a law that makes no numbers a result; the state given comes back, and no output."""
+    given = designs["observer"].law
+    good = random_ticks(given, 1)
+    size = len(State._fields)
+    for real in ("double", "float"):
+        for i in range(good.shape[1]):
+            tick = good.copy()
+            tick[0, i] = np.nan
+            np.testing.assert_array_equal(by_c(given, tick, real)[0], [*tick[0, :size], *[-1.0] * 3])
+    good[0, [size, size + 2]] = 0.2, 0.0
+    broken = dataclasses.replace(
+        given, gains=given.gains._replace(gamma=1e39), robot=given.robot._replace(alpha1=1e39)
+    )  # ∞ − ∞ in float
+    np.testing.assert_array_equal(by_c(broken, good, "float")[0], [*good[0, :size], *[-1.0] * 3])
+
+
+@pytest.mark.parametrize("kind", LAWS)
+def test_bends_of_any_size_are_numbers_everywhere(designs, kind):
+    """As large as double and float go; C in float, too, has a finite state after it."""
+    given = designs[kind].law
+    ticks = random_ticks(given, 60, seed=5)
+    ticks[:30, 7], ticks[30:, 0] = np.float32(1e36) * (-1) ** np.arange(30), np.float32(1e37)
+    expected = by_python(given, ticks)
+    assert np.isfinite(expected).all()
+    for found, most in (
+        (by_jax(given, ticks), 1e-12),
+        (by_c(given, ticks), 1e-12),
+        (by_c(given, ticks, "float"), 1e-5),
+    ):
+        assert errors(found, expected).max() <= most
+    ticks[:, 7] *= 1e270
+    np.testing.assert_allclose(by_c(given, ticks), by_python(given, ticks), rtol=1e-12)
