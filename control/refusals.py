@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
 
-from ljjax.control.statics import Hardware, Statics, tip_stiffness
+from ljjax.control.sampled import most_damping, spectral_radius
+from ljjax.control.statics import Hardware, Statics, falls, tip_stiffness
 from ljjax.errors import InputError
 from ljjax.law.parts import UNITS, Law
 from ljjax.model import Model
@@ -42,7 +44,7 @@ def positive(at_rest: Statics, where: str) -> None:
 def largest_angle(model: Model, at_rest: Statics, hardware: Hardware, most: float) -> float:
     """The largest |θ| [rad], to `most`, up to which the tensions hold every angle at every vacuum of the tables, and
     overcome stiction beside."""
-    alpha2, phi = np.asarray(at_rest.alpha2).mean(axis=1), np.asarray(at_rest.phi).max(axis=1)
+    alpha2, phi = np.asarray(at_rest.mean_alpha2), np.asarray(at_rest.phi).max(axis=1)
     theta = np.linspace(0.0, most, 181)
     hold = np.abs(float(model.gravity.alpha1) * np.sin(model.n * theta)[:, None] + alpha2 * theta[:, None])
     stick = float(model.friction.mu_s) * phi
@@ -57,12 +59,18 @@ def largest_angle(model: Model, at_rest: Statics, hardware: Hardware, most: floa
 
 
 def rising(model: Model, at_rest: Statics, law: Law, where: str) -> None:
+    """Refuse a stiffness that rises further up to a lower vacuum than it does from somewhere up to the highest."""
     k = np.asarray(tip_stiffness(model, at_rest.alpha2 + model.friction.sigma0 * at_rest.phi, law.gains.gamma))
-    if not (np.diff(k) > 0).all():
-        i = int(np.argmin(np.diff(k) > 0))
+    at = np.asarray(at_rest.vacuum)
+    ends = [-1, *np.flatnonzero(falls(k)), len(k) - 1]  # each rise begins an entry after the one before has ended
+    rises = [k[b] - k[a + 1] for a, b in itertools.pairwise(ends)]
+    i = int(ends[int(np.argmax(rises)) + 1])
+    if max(rises) <= 0:
+        raise InputError(f"{where}: the tip's stiffness rises nowhere up to {at[-1]:.3g} kPa; raise vacuum_max_kpa")
+    if i < len(k) - 1:
         raise InputError(
-            f"{where}: the tip's stiffness rises no further than {k[i]:.4g} N/m at {float(at_rest.vacuum[i]):.3g} kPa; "
-            "lower vacuum_max_kpa to that"
+            f"{where}: the tip's stiffness rises no further than {k[i]:.4g} N/m at {at[i]:.3g} kPa; lower "
+            f"vacuum_max_kpa to {at[i - 1]:.3g}"
         )
 
 
@@ -86,10 +94,24 @@ def routh(model: Model, at_rest: Statics, law: Law) -> None:
     n, gains = model.n, law.gains
     viscous = n * float(model.friction.sigma2) * np.asarray(at_rest.phi).mean(axis=1)
     d = viscous + gains.damping * (n * law.robot.lever_arm_m) ** 2
-    k = n * (n * gains.gamma + np.asarray(at_rest.alpha2).mean(axis=1))
+    k = n * (n * gains.gamma + np.asarray(at_rest.mean_alpha2))
     most = float(np.min(d * k)) / (float(at_rest.inertia) * n**2)
     if not gains.integral < most:
         raise InputError(
             f"gains.integral = {gains.integral:g}: unstable even without friction's stiction and without delay; choose "
             f"less than {most:.4g} {UNITS['gains.integral']}, or more damping"
         )
+
+
+def sampled(model: Model, at_rest: Statics, law: Law) -> None:
+    """Refuse damping with which the sampled loop grows although it slides (`ljjax.control.sampled`)."""
+    gains, t = law.gains, law.period_s
+    radius = float(spectral_radius(model, at_rest, gains, t, gains.damping)[0])
+    if radius < 1:
+        return
+    most, unit = most_damping(model, at_rest, gains, t), UNITS["gains.damping"]
+    choose = f"less than {most:.3g} {unit}" if gains.damping > most else f"more, up to {most:.3g} {unit}"
+    raise InputError(
+        f"gains.damping = {gains.damping:g}: with a tick of delay at {1 / t:g} Hz the loop grows even while it slides "
+        f"(spectral radius {radius:.3g}); choose {choose if most else 'less gains.gamma'}, or a higher rate"
+    )

@@ -21,6 +21,8 @@ from ljjax.model import Model
 
 ENTRIES = 65
 """Entries of each of the law's tables."""
+LEAST_RISE = 1e-6
+"""Share by which a stiffness must rise from one entry to the next to be told from one that does not."""
 LONG_S = 1e9
 """Long enough for lags and leaks to have settled."""
 
@@ -54,6 +56,11 @@ class Statics(NamedTuple):
     phi: Array
     inertia: Array
 
+    @property
+    def mean_alpha2(self) -> Array:
+        """(V,) harmonic mean over the joints [N·m/rad]: one torque bends each by its own share, and these add up."""
+        return 1 / jnp.mean(1 / self.alpha2, axis=1)
+
 
 @eqx.filter_jit
 def statics(model: Model, vacuum_max_kpa: Array, tension: Array) -> Statics:
@@ -76,3 +83,13 @@ def tip_stiffness(model: Model, joint: Array, gamma: Any) -> Array:
     give = 1 / joint
     lateral, common = jnp.sum(a[None] ** 2 * give, axis=1), jnp.sum(a[None] * give, axis=1)
     return 1 / (lateral - gamma * common**2 / (1 + gamma * jnp.sum(give, axis=1)))
+
+
+def falls(stiffness: Any) -> Any:
+    """(V − 1,) whether the stiffness (V,) does not rise to the next vacuum."""
+    return stiffness[1:] - stiffness[:-1] <= LEAST_RISE * stiffness[:-1]
+
+
+def start_of_rise(stiffness: Array) -> Array:
+    """The entry from which the stiffness (V,) rises up to the last: commands are found in that part."""
+    return jnp.max(jnp.where(falls(stiffness), jnp.arange(1, len(stiffness)), 0))

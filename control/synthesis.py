@@ -6,6 +6,7 @@ the model's parameters and the gains; `design` checks what it makes.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -16,19 +17,22 @@ import numpy as np
 from jaxtyping import Array
 
 from ljjax.control import jax_ops
-from ljjax.control.refusals import UNIQUE, largest_angle, plausible, positive, rising, routh, unique
-from ljjax.control.statics import ENTRIES, Hardware, Statics, statics, tip_stiffness
+from ljjax.control.refusals import UNIQUE, largest_angle, plausible, positive, rising, routh, sampled, unique
+from ljjax.control.sampled import most_damping
+from ljjax.control.statics import ENTRIES, Hardware, Statics, start_of_rise, statics, tip_stiffness
 from ljjax.errors import InputError
+from ljjax.law import ops
 from ljjax.law.file import possible
 from ljjax.law.parts import KINDS, Gains, Kind, Law, Limits, Robot, Tables
-from ljjax.law.step import root_of
+from ljjax.law.step import root_of, vacuum_of
 from ljjax.model import Model, check
 
 
 def default_gains(model: Model, at_rest: Statics, rate_hz: Array) -> Gains:
     """Gains to begin with, for tuning to better: γ at half of what uniqueness allows; K_D that damps the equal bend
-    critically while it slides; integral action with a corner at 4 rad/s; a dead zone of 0.02° of θ."""
-    n, alpha2 = model.n, jnp.mean(at_rest.alpha2, axis=1)
+    critically while it slides (`design` takes less where sampling does not carry it); integral action with a corner
+    at 4 rad/s; a dead zone of 0.02° of θ."""
+    n, alpha2 = model.n, at_rest.mean_alpha2
     gamma = 0.5 * UNIQUE * jnp.min(alpha2) / n
     k = n * (n * gamma + alpha2)
     viscous = n * model.friction.sigma2 * jnp.mean(at_rest.phi, axis=1)
@@ -52,12 +56,17 @@ def build(model: Model, kind: Kind, gains: Gains, hardware: Hardware) -> Law:
 def assemble(model: Model, at_rest: Statics, kind: Kind, gains: Gains, hardware: Hardware) -> Law:
     """`build` where the statics are known, which no gain changes."""
     stiffness = tip_stiffness(model, at_rest.alpha2 + model.friction.sigma0 * at_rest.phi, gains.gamma)
-    wanted = stiffness[0] + jnp.linspace(0.0, 1.0, ENTRIES, dtype=stiffness.dtype) * (stiffness[-1] - stiffness[0])
+    first = start_of_rise(stiffness)
+    low, high, entry = stiffness[first], stiffness[-1], jnp.arange(ENTRIES)
+    wanted = low + jnp.linspace(0.0, 1.0, ENTRIES, dtype=stiffness.dtype) * (high - low)
+    share = ((entry + 1) / (first + 1)).astype(stiffness.dtype)
+    ordered = jnp.where(entry < first, low * share, stiffness)  # what lies before is never wanted
     f, n = model.friction, jnp.asarray(model.n, stiffness.dtype)
     robot = Robot(n, model.chain.lever_arm_m, model.gravity.alpha1, f.sigma0, f.sigma3, f.mu_c, f.mu_s, f.v_s)
-    limits = Limits(*hardware[:6], hardware.theta_max_rad, stiffness[0], stiffness[-1])
-    root = jnp.interp(wanted, stiffness, root_of(jax_ops, at_rest.vacuum))
-    tables = Tables(jnp.mean(at_rest.alpha2, axis=1), jnp.mean(at_rest.phi, axis=1), root)
+    kept = {name: x for name, x in hardware._asdict().items() if name != "rate_hz"}
+    limits = Limits(**kept, stiffness_min_n_m=low, stiffness_max_n_m=high)
+    root = jnp.interp(wanted, ordered, root_of(jax_ops, at_rest.vacuum))
+    tables = Tables(at_rest.mean_alpha2, jnp.mean(at_rest.phi, axis=1), root)
     return Law(kind, 1.0 / hardware.rate_hz, gains, robot, limits, tables)
 
 
@@ -89,7 +98,8 @@ def design(
     Raises:
         InputError: an unknown law or gain, limits or gains out of range, α₂ ≤ 0 or φ ≤ 0 at a vacuum in use, a
             stiffness that does not rise with the vacuum, a desired potential with more than one critical point,
-            integral action that the damping does not carry, tensions that do not reach the angle asked for.
+            integral action that the damping does not carry, damping that sampling does not carry, tensions that do
+            not reach the angle asked for.
     """
     hardware = hardware or Hardware()
     if kind not in KINDS:
@@ -124,13 +134,17 @@ def design(
     rising(model, at_rest, law, where)
     possible(law, "law")
     ratio = unique(law)
+    if "damping" not in (gains or {}):
+        carried = 0.5 * most_damping(model, at_rest, law.gains, law.period_s)
+        law = dataclasses.replace(law, gains=law.gains._replace(damping=min(law.gains.damping, carried)))
     routh(model, at_rest, law)
+    sampled(model, at_rest, law)
     limits = law.limits
     return Design(
         law,
         {
             "stiffness_n_m": [limits.stiffness_min_n_m, limits.stiffness_max_n_m],
-            "vacuum_kpa": [0.0, limits.vacuum_max_kpa],
+            "vacuum_kpa": [vacuum_of(ops, law.tables.root[0]), limits.vacuum_max_kpa],
             "theta_rad": [-theta_max, theta_max],
             "uniqueness": {"n_gamma_over_alpha2": ratio, "below": UNIQUE},
         },

@@ -148,6 +148,8 @@ def possible(law: Law, where: str) -> None:
     expect(0 <= gains.compensation <= 1, "gains.compensation", gains.compensation, "between 0 and 1")
     expect(gains.leak_per_s * law.period_s <= 1, "gains.leak_per_s", gains.leak_per_s, "at most one over period_s")
     expect(robot.segments >= 1 and robot.segments == int(robot.segments), "robot.segments", robot.segments, "1, 2, …")
+    widest = 1.0 / robot.segments  # of sin e there is no more
+    expect(gains.dead_zone_rad < widest, "gains.dead_zone_rad", gains.dead_zone_rad, f"< {widest:.4g}")
     for name in ("lever_arm_m", "sigma0", "mu_c", "v_s"):
         expect(getattr(robot, name) > 0, f"robot.{name}", getattr(robot, name), "> 0")
     expect(robot.mu_s >= robot.mu_c, "robot.mu_s", robot.mu_s, "at least robot.mu_c")

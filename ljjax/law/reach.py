@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 
 from ljjax.errors import InputError
+from ljjax.law import ops
 from ljjax.law.parts import Command, Law
+from ljjax.law.step import vacuum_of
 
 
 def refuse_beyond(law: Law, command: Command, where: str = "command") -> None:
@@ -27,5 +29,5 @@ def refuse_beyond(law: Law, command: Command, where: str = "command") -> None:
     if not low * (1 - 1e-9) <= command.stiffness <= high * (1 + 1e-9):
         raise InputError(
             f"{where}: stiffness = {command.stiffness:.4g} N/m is out of reach; the law reaches {low:.4g} to "
-            f"{high:.4g} N/m, at 0 to {limits.vacuum_max_kpa:g} kPa"
+            f"{high:.4g} N/m, at {vacuum_of(ops, law.tables.root[0]):.3g} to {limits.vacuum_max_kpa:g} kPa"
         )

@@ -14,12 +14,12 @@ beside it, from LuGre's own equation with the rate of the mean joint beyond a de
     ẑ˙ = v − σ₀|v|/ρ(v) ẑ,    |ẑ| ≤ μ_S/σ₀.
 
 What is proven: without friction but viscous, without sampling and limits, `passivity` has q = θ*·1 as its equilibrium,
-stable for γ > 0, K_D > 0, and the only one where nγ/α₂ < 4.603. With LuGre friction it stalls: every shape with
-|∂ᵢU_d| ≤ φμ_S is an equilibrium. Under `integral` any rest lies within the dead zone, at a limit, or (with a leak)
-where the leak balances it; the bend with equal joints is stable for small steps while it slides if Routh's condition
-holds (`ljjax.control.design` checks it). The observer's error ẑ − z shrinks as exp(−σ₀∫|v|/ρ dt) where the rate is
-known and friction is LuGre's. Not proven: that the loop with stiction, sampling and limits comes to rest at all (with
-μ_S > μ_C and integral action it may hunt); this is what the simulated loop is for.
+stable for γ > 0, K_D > 0, and the only one where nγ/α₂ < 4.603. With LuGre friction it stalls: every shape with |∂ᵢU_d|
+≤ φμ_S is an equilibrium. Under `integral` any rest lies within the dead zone, at a limit, or (with a leak) where the
+leak balances it; the bend with equal joints is stable for small steps while friction is viscous only if Routh's
+condition holds (`ljjax.control.design` checks it). The observer's error ẑ − z shrinks as exp(−σ₀∫|v|/ρ dt) where the
+rate is known, v₀ = 0 and friction is LuGre's. Not proven: that the loop with stiction, sampling and limits comes to
+rest at all (with μ_S > μ_C and integral action it may hunt); this is what the simulated loop is for.
 """
 
 from __future__ import annotations

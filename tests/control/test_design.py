@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from ljjax import energy, law
+from ljjax.chain import mass_matrix
 from ljjax.control import Hardware, design
 from ljjax.control.refusals import UNIQUE
 from ljjax.control.statics import tip_stiffness
 from ljjax.errors import InputError
 from ljjax.law import ops
 from ljjax.law.step import root_of, step
+from ljjax.step import Drive, settled
 from ljjax.stiffness import closed_loop_stiffness, transverse_stiffness
 
 
@@ -74,6 +78,90 @@ def test_segments_of_their_own_stiffness_are_counted_one_by_one(robot):
     assert made.reach["stiffness_n_m"] != design(robot(3), "passivity").reach["stiffness_n_m"]
 
 
+def test_segments_of_their_own_stiffness_rest_at_the_angle_wanted(robot):
+    """Under one torque each bends by its own share; the shares add up to nθ*, and one minimum is told by them, too."""
+    model = robot(3, {"nonuniform_stiffness": {"mode1": 0.6}})
+    zero = jnp.zeros(())
+    alpha2, _ = settled(model, (zero,) * 3, Drive(zero, zero, zero), 1e9)
+    each, theta = np.array([float(x) for x in alpha2]), 0.1
+    assert each.max() > 2 * each.min()
+    made = design(model, "passivity")
+    shape = made.law.tables.alpha2[0] * theta / each
+    assert shape.sum() == pytest.approx(3 * theta, rel=1e-9)
+    state = law.start(made.law, 3 * theta, 0.0, 5.0, 5.0)
+    for _ in range(200):
+        state, _ = law.tick(made.law, state, law.Measured(shape.sum(), 0.0), law.Command(theta, 1e9))
+    torque = 0.02 * state.net - 0.0205 * np.sin(shape.sum())
+    np.testing.assert_allclose(each * shape, torque, rtol=1e-9)
+    most = UNIQUE / np.sum(1 / each)
+    assert made.reach["uniqueness"]["n_gamma_over_alpha2"] == pytest.approx(0.5 * UNIQUE, rel=1e-9)
+    design(model, "passivity", gains={"gamma": 0.999 * most})
+    with pytest.raises(InputError, match="choose gamma <"):
+        design(model, "passivity", gains={"gamma": 1.001 * most})
+
+
+@pytest.mark.parametrize(
+    "effects,first",
+    [
+        ({"pressure_bias": {"offset_kpa": -3.0}}, 3.0),
+        ({"pressure_leak": {"share": 0.6}}, 0.5),
+        ({"pressure_leak": {"share": 0.6, "held": 0.0}}, 0.5),
+    ],
+)
+def test_a_stiffness_that_rises_late_is_reached_from_there(robot, effects, first):
+    model = robot(effects=effects)
+    made = design(model, "passivity")
+    assert made.reach["vacuum_kpa"] == pytest.approx([first, 40.0], abs=0.6)
+    low, high = made.reach["stiffness_n_m"]
+    for share in (0.1, 0.5, 1.0):
+        wanted, zero = low + share * (high - low), jnp.zeros(())
+        drive = Drive(zero, zero, jnp.asarray(commanded(made.law, wanted)))
+        alpha2, phi = settled(model, (zero,) * 2, drive, 1e9)
+        joints = jnp.stack(alpha2) + jnp.stack(phi)
+        found = tip_stiffness(model, joints[None], made.law.gains.gamma)
+        assert float(found[0]) == pytest.approx(wanted, rel=5e-3)
+
+
+def test_the_mend_of_a_stiffness_that_falls_again_works(robot):
+    model = robot(effects={"friction_saturation": {"rise": -40.0, "knee_kpa": 20.0}})
+    with pytest.raises(InputError, match="lower vacuum_max_kpa to") as error:
+        design(model, "passivity")
+    lower = float(str(error.value).split()[-1])
+    assert design(model, "passivity", hardware=Hardware(vacuum_max_kpa=lower)).reach["vacuum_kpa"][1] == lower
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 200.0])
+def test_damping_is_refused_from_where_the_sampled_loop_grows(robot, rate_hz):
+    """Beside a body without stiction, moved in fine steps, with every tension a tick late."""
+    model = robot(6)
+    hardware = Hardware(
+        rate_hz=rate_hz, tension_max_n=1e4, co_contraction_n=1e3, tension_slew_n_s=1e7, theta_max_rad=0.1
+    )
+    with pytest.raises(InputError, match="choose less than") as error:
+        design(model, "passivity", gains={"damping": 1e6}, hardware=hardware)
+    most = float(str(error.value).split("choose less than ")[1].split()[0])
+    inertia = float(jnp.sum(mass_matrix(model.chain, jnp.zeros(6))))
+    plain = design(model, "passivity", hardware=hardware).law
+    assert 0 < plain.gains.damping < most
+
+    def grows(damping):
+        given = dataclasses.replace(plain, gains=plain.gains._replace(damping=damping))
+        theta, speed, held, seen = 1e-7, 0.0, 0.0, []
+        state = law.start(given, 6 * theta, 0.0, 1e3, 1e3)
+        for _ in range(400):
+            state, _ = law.tick(given, state, law.Measured(6 * theta, 0.0), law.Command(0.0, 0.0))
+            h = given.period_s / 200
+            for _ in range(200):
+                spring = 1.861 * theta + 0.0205 * np.sin(6 * theta) - 0.02 * held
+                speed = (speed - h * 6 * spring / inertia) / (1 + h * 6 * 0.012 * 12.0 / inertia)
+                theta = theta + h * speed
+            held = state.net
+            seen.append(abs(theta))
+        return max(seen[300:]) > max(seen[100:200])
+
+    assert grows(1.2 * most) and not grows(0.85 * most) and not grows(plain.gains.damping)
+
+
 def test_tables_are_the_models(robot):
     model = robot()
     tables = design(model, "passivity").law.tables
@@ -108,7 +196,9 @@ WRONG = [
     (dict(gains={"gamma": 50.0}), "choose gamma <"),
     (dict(gains={"gamma": 0.0}), "gains.gamma = 0: must be > 0"),
     (dict(gains={"gamma": float("nan")}), "must be a finite number"),
-    (dict(gains={"integral": 1e6}), "choose less than"),
+    (dict(gains={"dead_zone_rad": 0.5}), "gains.dead_zone_rad = 0.5: must be < 0.5"),
+    (dict(gains={"integral": 1e6}), "gains.integral = 1e+06: unstable"),
+    (dict(kind="passivity", gains={"damping": 1e6}), "gains.damping = 1e+06: with a tick of delay at 200 Hz"),
     (dict(gains={"compensation": 1.5}), "gains.compensation = 1.5: must be between 0 and 1"),
     (dict(hardware=Hardware(vacuum_max_kpa=90.0)), "elastic.c1, c2, c3 give α₂ = -"),
     (dict(hardware=Hardware(tension_max_n=3.0)), "does not even overcome stiction"),
