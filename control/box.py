@@ -12,12 +12,15 @@ import numpy as np
 from jaxtyping import Array
 
 from ljjax.control.refusals import UNIQUE
+from ljjax.control.sampled import most_damping
 from ljjax.control.spec import Target
 from ljjax.control.statics import Statics, tip_stiffness
 from ljjax.errors import InputError
 from ljjax.law.parts import USED, Law
 from ljjax.model import Model
 
+SLOWEST = 8
+"""Longest time constant of the rate's filter, in ticks."""
 MARGIN = 0.98
 """How much of what uniqueness and Routh's condition allow is used at most."""
 
@@ -108,8 +111,8 @@ def box(model: Model, at_rest: Statics, law: Law, targets: Sequence[Target], fre
     degree = math.radians(1.0)
     ranges = {
         "gamma": (lowest, highest, 1e-3 * lowest),
-        "damping": (0.0, 10 * critical, 0.03 * critical),
-        "filter_s": (0.5 * period, 20 * period, 0.01 * period),
+        "damping": (0.0, min(10 * critical, _carried(model, at_rest, law, (lowest, highest))), 0.03 * critical),
+        "filter_s": (0.5 * period, SLOWEST * period, 0.01 * period),
         "integral": (1e-4, MARGIN, 1e-6),
         "leak_per_s": (0.0, min(2.0, 1 / period), 0.02),
         "dead_zone_rad": (0.0, 0.5 * degree, 0.02 * degree),
@@ -123,6 +126,19 @@ def box(model: Model, at_rest: Statics, law: Law, targets: Sequence[Target], fre
     if "integral" in names:
         start[names.index("integral")] /= float(made.routh(jnp.asarray(start)))
     return made._replace(low=np.minimum(low, start), high=np.maximum(high, start))
+
+
+def _carried(model: Model, at_rest: Statics, law: Law, gammas: tuple[float, float]) -> float:
+    """The damping [N·s/m] that sampling carries at every γ and filter of the box, less a margin; no less than the
+    law's own, whose `design` has been checked."""
+    period = float(law.period_s)
+    corners = [
+        law.gains._replace(gamma=gamma, filter_s=filter_s)
+        for gamma in gammas
+        for filter_s in (0.5 * period, float(law.gains.filter_s), SLOWEST * period)
+    ]
+    most = min(most_damping(model, at_rest, gains, period) for gains in corners)
+    return max(0.9 * MARGIN * most, float(law.gains.damping))
 
 
 def _gammas(

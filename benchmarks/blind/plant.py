@@ -69,10 +69,12 @@ def form(numbers: Sequence[float]) -> int:
 def compiled(source: str, flags: Sequence[str] = (), link: Sequence[str] = ()) -> ctypes.CDLL:
     """A C file of this folder as a loaded library."""
     with tempfile.TemporaryDirectory(prefix="ljjax-blind-") as folder:
-        out = Path(folder) / "out.so"
+        part, out = Path(folder) / "out.o", Path(folder) / "out.so"
         here = Path(__file__).parent / source
-        options = ("-O2", "-ffast-math", "-fno-finite-math-only", "-march=native", "-shared", "-fPIC", *flags)
-        subprocess.run(["cc", *options, "-o", out, here, *link, "-lm"], check=True)
+        options = ("-O2", "-ffast-math", "-fno-finite-math-only", "-march=native", "-fPIC", *flags)
+        subprocess.run(["cc", *options, "-c", "-o", part, here], check=True)
+        # Linked without the flags: -ffast-math at the link makes the whole process lose its subnormal numbers.
+        subprocess.run(["cc", "-shared", "-o", out, part, *link, "-lm"], check=True)
         return ctypes.CDLL(str(out))
 
 
