@@ -43,7 +43,7 @@ class Hardware(NamedTuple):
 
 
 class Statics(NamedTuple):
-    """A robot at rest at the vacuums of the tables, unbent, effects included.
+    """A robot at rest at the vacuums of the tables, unbent, with the effects on α₂, φ and the vacuum.
 
     Attributes:
         vacuum: (V,) vacuums commanded [kPa], evenly spaced in w(u_P), held for long.

@@ -88,7 +88,7 @@ def design(
     hardware: Hardware | None = None,
     where: str = "model",
 ) -> Design:
-    """A law for a robot, its effects included.
+    """A law for a robot; of its effects those that act on α₂, φ or the vacuum.
 
     Args:
         kind: `"passivity"` (the paper's), `"integral"` or `"observer"`.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -67,7 +68,7 @@ class Parameter:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class FitResult:
+class FitResult(ABC):
     """The identified robot and the evidence. What is said of parameters, in whatever way they were found, is here.
 
     Attributes:
@@ -89,9 +90,9 @@ class FitResult:
         return f"{type(self).__name__} of {len(self.runs)} runs:\n{rows}"
 
     @property
+    @abstractmethod
     def model(self) -> Model:
         """The identified robot."""
-        raise NotImplementedError
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
@@ -116,9 +117,9 @@ class FitResult:
         )
 
     @property
+    @abstractmethod
     def correlation(self) -> tuple[tuple[str, ...], np.ndarray]:
         """Names and (k, k) correlations of the fitted parameters; NaN where not known."""
-        raise NotImplementedError
 
     def _confounded(self, name: str) -> str:
         names, correlation = self.correlation
@@ -148,13 +149,13 @@ class FitResult:
             )
         return out
 
+    @abstractmethod
     def as_dict(self) -> dict[str, Any]:
         """The content of fit.json."""
-        raise NotImplementedError
 
+    @abstractmethod
     def report(self, data: Mapping[str, Any]) -> str:
         """The page of report.html, given `as_dict()`."""
-        raise NotImplementedError
 
     def model_file(self) -> ModelFile:
         """The identified robot as a model.toml holds it."""
@@ -183,9 +184,9 @@ class FitResult:
             f"Taken from {self.start_from}: {assumed}."
         )
 
+    @abstractmethod
     def _overlay(self, index: int) -> dict[str, dict[str, Signal]]:
         """`/sim` and `/residual` of one run."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

@@ -32,7 +32,7 @@ def command(
     The command to the law is a segment angle and a transverse stiffness of the tip. Prints what it reaches.
 
     Args:
-        model: The robot, a model.toml; its effects are counted in.
+        model: The robot, a model.toml; effects on elasticity, friction and vacuum enter the law.
         out: The law.json to write.
         header: A C99 header of the same law to write, for a microcontroller.
         law: The published law, the same with integral action, or with a LuGre observer beside it.

@@ -38,7 +38,7 @@ def command(
     and checked on others.
 
     Args:
-        model: The robot, a model.toml; its effects are counted in.
+        model: The robot, a model.toml; all its effects are simulated, the law knows those that `export` counts.
         out: Folder for the results.
         law: The published law, the same with integral action, or with a LuGre observer beside it.
         spec: What is wanted (TOML, docs/control.md): targets, limits, weights; without it three targets within reach.
