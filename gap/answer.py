@@ -13,16 +13,19 @@ from ljjax.fit.result import NOMINAL
 from ljjax.gap import judge, screening, where
 from ljjax.gap.data import role_of
 from ljjax.gap.experiment import next_experiment
-from ljjax.gap.inquiry import Inquiry
+from ljjax.gap.inquiry import LEFT_OVER, Inquiry
 from ljjax.gap.result import Diagnosis, Finding, Fold, Gap, Region
 from ljjax.gap.search import Refit
+from ljjax.gap.stand_ins import BLOCKS
 from ljjax.gap.story import Story
 from ljjax.logs import Run, Signal
 from ljjax.modelfile import ModelFile
 
 ANGLE = {1: "theta"}
-LEFT_OVER, COLOURED, POORER = 0.1, 3.0, 0.4
-"""What a reader is told of: so much of the gap left, so coloured; a condition that closes by so much less than most."""
+COLOURED, POORER = 3.0, 0.4
+"""What a reader is told of: leftovers so coloured; a condition that closes by so much less than most."""
+SEES = 0.8
+"""A stand-in that leaves more than this share of the gap points nowhere."""
 
 
 def answer(inquiry: Inquiry) -> Diagnosis:
@@ -149,7 +152,10 @@ def _where(inquiry: Inquiry, chosen: Refit) -> list[Region]:
         return where.places(base.estimate, channel, contributions)
     if inquiry.verdict == "unlisted_effect":
         gap = base.estimate.error
-        block = effects.REGISTRY[judge.main_of(inquiry.probability, list(inquiry.evidence.left))].block
+        flexible = inquiry.evidence.flexible
+        place = min(flexible, key=lambda p: flexible[p], default="")
+        main = judge.main_of(inquiry.probability, list(inquiry.evidence.left))
+        block = BLOCKS[place] if place and flexible[place] < SEES else effects.REGISTRY[main].block
         return where.places(base.estimate, channel, [(block, where.loudest(base.estimate, gap)[:2], gap)])
     return []
 
@@ -178,7 +184,7 @@ def _warnings(inquiry: Inquiry) -> list[str]:
     if inquiry.verdict == "unlisted_effect":
         out.append(
             f"the best listed effect leaves {100 * min(min(inquiry.evidence.left.values()), 1.0):.0f} % of the gap: "
-            "what causes it is none of those known here"
+            "what causes it is none of those known here" + _pointed(inquiry.evidence)
         )
     if inquiry.verdict == "listed_effect":
         out += _left_over(inquiry)
@@ -197,7 +203,7 @@ def _left_over(inquiry: Inquiry) -> list[str]:
         axes = " and ".join(where.loudest(estimate, estimate.error)[:2])
         out.append(
             f"with {who} {100 * left:.0f} % of the fitted runs' gap is left, and it is no noise (unevenly spread along "
-            f"{axes}): the cause has another form here, or something else is missing too"
+            f"{axes}): the cause has another form here, or something else is missing too{_pointed(inquiry.evidence)}"
         )
     closes = inquiry.closes(chosen)
     known = closes[np.isfinite(closes)]
@@ -209,6 +215,15 @@ def _left_over(inquiry: Inquiry) -> list[str]:
             f"{100 * np.median(known):.0f} %): {who} as fitted carries over badly to that condition"
         )
     return out
+
+
+def _pointed(evidence: judge.Evidence) -> str:
+    """Where flexible stand-ins see it, in words."""
+    near = sorted((left, place) for place, left in evidence.flexible.items() if left < SEES)
+    if not near:
+        return ""
+    places = ", ".join(f"{place} {100 * max(left, 0.0):.0f} %" for left, place in near[:3])
+    return f". Flexible stand-ins (lags, curves, relays of no particular form) would leave, at the {places}"
 
 
 def _overlay(inquiry: Inquiry, run: Run, chosen: Refit, seen: Sequence[Estimate]):

@@ -16,6 +16,7 @@ from ljjax.gap.candidates import Trial
 from ljjax.gap.channels import Measured
 from ljjax.gap.screening import Screen
 from ljjax.gap.search import Refit, Study
+from ljjax.gap.stand_ins import stand_in
 from ljjax.logs import Run
 from ljjax.modelfile import ModelFile
 
@@ -26,6 +27,8 @@ AFRESH = 0.3
 """Where the best candidate leaves more than this share of the gap, the leaders are begun from the given model too."""
 HEARD = 3
 """How many effects that measured inputs show are begun as they show there."""
+LEFT_OVER = 0.1
+"""The share of the gap that is worth telling of where the effects found leave it."""
 FURTHER, PAIRS = 0.12, 0.25
 """Shares of the gap, left by one effect, from which a further one is looked for, and from which pairs of others are."""
 
@@ -293,4 +296,11 @@ class Inquiry:
         as_given = worse < count + 4 * np.sqrt(2 * count) or self.given.total < 1.01 * self.base.total
         unseen = {i: self.leaves_unseen(r) for i, r in found.single.items()}
         excess = self.excess / max(self.floor, 1e-9)
-        return judge.Evidence(excess, left, size, self.unit, chance, bool(as_given), unseen)
+        return judge.Evidence(excess, left, size, self.unit, chance, bool(as_given), unseen, self._flexible())
+
+    def _flexible(self) -> dict[str, float]:
+        """By place, what a stand-in there leaves of the shape's gap; where the effects found leave little, nothing."""
+        if self.excess < judge.OPEN * self.floor or self.own_left(self.found.best) < LEFT_OVER:
+            return {}
+        found = stand_in(self.setting.study, self.base)
+        return {place: min(self.own_left(r), 1.0) for place, r in found.items()}

@@ -56,6 +56,8 @@ class Evidence:
         chance: probability that data without an effect gain as much.
         as_given: whether the given model explains the runs no worse than the refitted base does.
         unseen: by effect refitted alone, the share left where each condition is left out of the fits (to first order).
+        flexible: by place, the share that a stand-in of many terms there leaves (`ljjax.gap.stand_ins`); empty where
+            the effects leave too little to ask.
     """
 
     excess: float
@@ -65,6 +67,7 @@ class Evidence:
     chance: float
     as_given: bool
     unseen: Mapping[str, float] = field(default_factory=dict)
+    flexible: Mapping[str, float] = field(default_factory=dict)
 
 
 def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
