@@ -9,116 +9,25 @@ starting angle is a parameter of its own, eliminated.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
 
 from ljjax.fit.coordinates import Coordinates
-from ljjax.fit.points import Points
-from ljjax.fit.shooting import TILE, Answer, Asking, Request, Starts
+from ljjax.fit.covariance import score_variance
+from ljjax.fit.problem import ROUNDS, Estimate, Problem, Round
+from ljjax.fit.shooting import Answer, Asking, Request, Starts
 from ljjax.fit.static import value_and_jacobian
 from ljjax.fit.windows import Motion, Windows, cut
-from ljjax.model import Model
 
-
-@dataclass(frozen=True)
-class Round:
-    """One round: step of the solver [s], whether windows meet (free runs) and how closely [rad], how many windows are
-    used, and when it ends: when a step would lower χ² by no more than `done`, or that share of it. `onward`: free runs
-    one window after the other, for many fits side by side."""
-
-    step_s: float
-    free: bool
-    meet_rad: float
-    windows: int
-    done: float
-    share: float
-    onward: bool = False
-
-
-ROUNDS = (
-    Round(0.005, False, np.inf, 2 * TILE, 0.1, 1e-2),
-    Round(0.005, True, 3e-5, 1_000_000, 0.1, 1e-4),
-    Round(0.0025, True, 1e-6, 1_000_000, 0.02, 0.0),
-)
 FAR = 0.25
 """A step goes no further than this share of a coordinate's spread: parameters change by a factor of 2 at most."""
 HUBER = 4.0
 """Residuals beyond this many standard deviations count linearly."""
 EXPLODED = 1e12
 """Derivatives [rad] beyond which a motion counts as one that does not simulate."""
-LAGS = 30
-"""Lags that are summed one by one; where residuals hang together over many more, samples are added up first."""
-
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """What a dynamic fit is asked: the data of one robot and how its parameters may move.
-
-    Attributes:
-        coordinates: the free parameters.
-        motions: the moving runs.
-        points: steady and probe points, which count with their own scatter.
-        priors: mean and standard deviation by path, in the parameter's unit.
-        bounds: lowest and highest value by path, in the parameter's unit.
-    """
-
-    coordinates: Coordinates
-    motions: Sequence[Motion]
-    points: Sequence[Points] = ()
-    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """What a dynamic fit found.
-
-    Attributes:
-        x: (k,) coordinates; `model` the robot.
-        covariance: (k, k) of x, with the residuals' colour; `white` the same were they white.
-        windows, predicted: the last round's windows and what their samples should read (N, c).
-        jacobian: (N, c, k) derivatives of `predicted`, the runs' starting angles projected off.
-        sigma: (c,) standard deviation of the residuals [rad]; `weight` (N, c) of each sample, 1 or less.
-        offset: (R,) correction of each run's starting angle [rad].
-        statics: predictions and scatter for each of the problem's points.
-        chi2: weighted sum of squares; `history` the course: round, passes over the data in it,
-            RMS error [rad], damping, x.
-        converged: whether the last round ended by its own rule.
-        step_error: (R,) the largest change of a prediction from halving the solver's step [rad], or None.
-    """
-
-    problem: Problem
-    x: np.ndarray
-    model: Model
-    covariance: np.ndarray
-    white: np.ndarray
-    windows: Windows
-    predicted: np.ndarray
-    jacobian: np.ndarray
-    sigma: np.ndarray
-    weight: np.ndarray
-    offset: np.ndarray
-    statics: list[tuple[np.ndarray, float]]
-    chi2: float
-    history: list[tuple[int, int, float, float, np.ndarray]]
-    converged: bool
-    step_error: np.ndarray | None = None
-
-    @property
-    def error(self) -> np.ndarray:
-        """(N, c) measured − predicted [rad]."""
-        return self.windows.y - self.predicted
-
-    def chi2_by(self, scale: Estimate) -> float:
-        """χ² of this estimate by another's scale of residuals, of the same data."""
-        out = np.sum(scale.weight * (self.error / scale.sigma) ** 2)
-        out += np.sum((self.offset / np.array([m.q0_sd for m in self.problem.motions])) ** 2)
-        for p, (value, _), (_, s) in zip(self.problem.points, self.statics, scale.statics, strict=True):
-            out += np.sum(((value - p.value) / s) ** 2)
-        return float(out)
 
 
 @dataclass(eq=False)
@@ -467,34 +376,11 @@ class Search:
         )
 
     def _meat(self, jacobian: np.ndarray, error: np.ndarray, scale: _Scale, point: _Point) -> np.ndarray:
-        """(k, k) variance of the score: Newey and West's sum over lags within each run, the lags by Andrews' rule."""
+        """(k, k) variance of the score, the residuals' colour counted."""
         score = np.einsum("nck,nc->nk", jacobian, scale.weight * error / scale.sigma**2, optimize=True)
-        out = np.zeros((score.shape[1],) * 2)
-        for run in np.unique(self.windows.sample_run):
-            mine = self.windows.sample_run == run
-            s, e = score[mine], error[mine].mean(axis=1)
-            lags = bandwidth(e)
-            block = max(1, lags // LAGS)  # sums of so many samples hang together over so many fewer lags
-            s = np.add.reduceat(s, np.arange(0, len(s), block), axis=0)
-            lags = -(-lags // block)
-            own = s.T @ s
-            for lag in range(1, min(lags, len(s) - 1) + 1):
-                c = s[lag:].T @ s[:-lag]
-                own += (1 - lag / (lags + 1)) * (c + c.T)
-            out += own
-        values, vectors = np.linalg.eigh(out)
-        out = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        out = score_variance(score, error.mean(axis=1), self.windows.sample_run)
         rows, slope = self._rows(point, scale)
         return out * len(score) / max(len(score) - len(point.x), 1) + slope.T @ slope
-
-
-def bandwidth(e: np.ndarray) -> int:
-    """Lags over which residuals hang together: Andrews' (1991) rule for Bartlett's kernel and an AR(1)."""
-    e = e - e.mean()
-    power = float(e @ e)
-    rho = float(np.clip(e[1:] @ e[:-1] / power, -0.97, 0.999)) if power > 0 else 0.0
-    alpha = 4 * rho**2 / ((1 - rho) ** 2 * (1 + rho) ** 2)
-    return int(np.ceil(1.1447 * (alpha * len(e)) ** (1 / 3)))
 
 
 def _first(counts: np.ndarray) -> np.ndarray:

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from ljjax.fit.dynamic import FAR, Estimate
+from ljjax.fit.dynamic import FAR
+from ljjax.fit.problem import Estimate
 from ljjax.fit.windows import Motion
 
 STEADY_KPA = 3.0

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from ljjax.fit.dynamic import Estimate
 from ljjax.fit.folds import left_out
 from ljjax.fit.points import UNIT
+from ljjax.fit.problem import Estimate
 from ljjax.fit.record import SCHEMA, about_run, plain
 from ljjax.fit.result import FitResult, Parameter
 from ljjax.logs import Run, Signal

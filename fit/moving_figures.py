@@ -16,9 +16,9 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from ljjax.energy import phi
-from ljjax.fit.dynamic import Estimate
 from ljjax.fit.figures import colours
 from ljjax.fit.moving import DynamicResult, RunError
+from ljjax.fit.problem import Estimate
 from ljjax.friction import sliding_torque
 from ljjax.model import Model, get, replace
 from ljjax.page import ACCENT, INK, MUTED, axes, legend, panels

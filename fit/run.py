@@ -11,9 +11,10 @@ from ljjax import modelfile
 from ljjax.data import OCTROBOT
 from ljjax.errors import InputError
 from ljjax.fit.coordinates import Coordinates
-from ljjax.fit.dynamic import ROUNDS, Estimate, Problem, Round, estimate, predict
+from ljjax.fit.dynamic import estimate, predict
 from ljjax.fit.moving import DynamicResult
 from ljjax.fit.points import Points, collect, points_of
+from ljjax.fit.problem import ROUNDS, Estimate, Problem, Round
 from ljjax.fit.result import NOMINAL, FitResult, StaticResult
 from ljjax.fit.shooting import Asking, together
 from ljjax.fit.static import Constraints, Weights, fit_static

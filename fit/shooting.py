@@ -9,24 +9,20 @@ in step, so that their windows fill one batch.
 
 from __future__ import annotations
 
-import contextlib
-import gc
 import math
-import os
-from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from ljjax import batch
-from ljjax.fit.windows import STEPS, Windows
+from ljjax.fit.kernel import balance, shoot, tiled
+from ljjax.fit.samples import Samples, derivatives
+from ljjax.fit.windows import Windows
 from ljjax.model import Model
-from ljjax.step import Drive, How, Unrolled, advance, constants, in_balance
+from ljjax.step import Drive, Unrolled
 
 TILE, NARROW = 64, 32
 """Windows simulated in one call: wide enough for vector units, small enough for a core's cache. Where they go on from
@@ -143,13 +139,9 @@ LEAST, WIDER, ACROSS = 20, 8, 8
 and in steps of so many; of free runs so many, and the others beside them in the batch."""
 
 
-def _derivatives(request: Request) -> int:
-    return jax.tree.leaves(request.slopes)[0].shape[0]
-
-
 def _padded(request: Request) -> int:
     """How many derivatives the kernel takes."""
-    k = _derivatives(request)
+    k = derivatives(request)
     if request.onward:
         return ACROSS
     return LEAST + WIDER * max(0, math.ceil((k - LEAST) / WIDER)) if request.model.effects else k
@@ -157,9 +149,9 @@ def _padded(request: Request) -> int:
 
 def _parts(request: Request) -> list[Request]:
     """A request, or the requests for some of its derivatives each that a kernel can take."""
-    if not request.onward or _derivatives(request) <= ACROSS:
+    if not request.onward or derivatives(request) <= ACROSS:
         return [request]
-    places = range(0, _derivatives(request), ACROSS)
+    places = range(0, derivatives(request), ACROSS)
     return [replace(request, slopes=jax.tree.map(lambda s, a=a: s[a : a + ACROSS], request.slopes)) for a in places]
 
 
@@ -200,7 +192,7 @@ class _Batch:
         """Where these windows start from the data."""
         take = lambda x: x[..., windows]  # noqa: E731
         q, v, first = jax.tree.map(take, (self.q, self.v, jax.tree.map(lambda x: x[0], self.drive)))
-        return Starts(*_tiled(_balance, (*self.robots(windows), q, v, first), TILE))
+        return Starts(*tiled(balance, (*self.robots(windows), q, v, first), TILE))
 
     def shoot(self, windows: Any, starts: Starts, joints: bool, onward: bool = False) -> Any:
         """`_shoot` of these windows from `starts`; where they are not run onward also `Answer.passed`."""
@@ -211,9 +203,7 @@ class _Batch:
             slopes = jax.tree.map(lambda x: np.concatenate([x, np.zeros_like(x[:2])]), slopes)
             slope = jax.tree.map(lambda *x: np.concatenate(x), slope, _alike(slope))
         given = model, slopes, starts.state, slope, drive, h
-        ends, end_slopes, path, path_slopes = _tiled(
-            partial(_kernel, joints, onward), given, NARROW if onward else TILE
-        )
+        ends, end_slopes, path, path_slopes = tiled(partial(shoot, joints, onward), given, NARROW if onward else TILE)
         if onward:
             return ends, end_slopes, path, path_slopes, None
         passed = np.stack([np.stack([y[-2:] for y in x], axis=1) for x in (end_slopes[1].q, end_slopes[1].z)])
@@ -246,7 +236,7 @@ def _answer(requests: Sequence[Request], width: int, joints: bool) -> list[Answe
         def own(tree: Any, part: slice = slice(a, b)) -> Any:
             return jax.tree.map(lambda x: x[..., part], tree)
 
-        samples = _Samples(r)
+        samples = Samples(r)
         samples.read(np.arange(b - a), own(path), own(path_slope))
         half, last = Starts(own(middle), own(middle_slope)), Starts(own(end), own(end_slope))
         answers.append(Answer(samples.predicted, samples.jacobian, own(used), half, last, own(passed)))
@@ -261,7 +251,7 @@ def _onward(requests: Sequence[Request], width: int, joints: bool) -> list[Answe
     index = np.arange(len(opens))
     place = index - np.maximum.accumulate(np.where(opens, index, 0))
     first = np.cumsum([0, *batch.count])
-    samples = [_Samples(r) for r in requests]
+    samples = [Samples(r) for r in requests]
     before, state = np.flatnonzero(place == 0), None
     for k in range(int(place.max()) + 1):
         now = np.flatnonzero(place == k)
@@ -295,189 +285,3 @@ def _drive(windows: Windows, model: Model) -> Drive:
 
 def _where(mask: np.ndarray, yes: Starts, no: Starts) -> Starts:
     return jax.tree.map(lambda a, b: np.where(mask, a, b), yes, no)
-
-
-def _tiled(kernel: Callable, arguments: Any, tile: int) -> Any:
-    """A jitted kernel over arguments whose last axis is the windows, in tiles so wide, on all cores."""
-    leaves = jax.tree.leaves(arguments)
-    count = leaves[0].shape[-1]
-    index = [np.minimum(np.arange(a, a + tile), count - 1) for a in range(0, count, tile)]
-
-    def work(i: np.ndarray) -> Any:
-        return jax.tree.map(np.asarray, kernel(*jax.tree.map(lambda x: np.ascontiguousarray(x[..., i]), arguments)))
-
-    form = (getattr(kernel, "func", kernel), getattr(kernel, "args", ()), jax.tree.structure(arguments))
-    shapes = (*form, *(x.shape[:-1] for x in leaves))
-    parts = []
-    if shapes not in _ready:  # compile once, not in every thread
-        with _uncollected():
-            parts = [work(index[0])]
-        _ready.add(shapes)
-    if len(index) == 1:
-        parts = parts or [work(index[0])]
-    else:
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            parts += pool.map(work, index[len(parts) :])
-    return jax.tree.map(lambda *x: np.concatenate(x, axis=-1)[..., :count], *parts)
-
-
-_ready: set[Any] = set()
-
-
-@contextlib.contextmanager
-def _uncollected() -> Iterator[None]:
-    """Without the garbage collector, which takes a quarter of the time of tracing, and finds nothing."""
-    collecting = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collecting:
-            gc.enable()
-
-
-def _options() -> dict[str, Any]:
-    """Compiler options of the kernels here, which are compiled once a fit: less is optimised, and they run as fast."""
-    return {**batch.options(), "xla_backend_optimization_level": 1} if batch.options() else {}
-
-
-def _quick() -> dict[str, Any]:
-    """Compiler options of what takes longer to compile than to run: as little work of the compiler as there is."""
-    least = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
-    return {**batch.options(), **least} if batch.options() else {}
-
-
-def _push(f: Callable, primals: Any, tangents: Any) -> Any:
-    """f at the primals, and its derivatives along tangents stacked along a new first axis."""
-
-    def along(t: Any) -> Any:
-        return jax.jvp(f, primals, t)
-
-    return jax.vmap(along, out_axes=(None, 0))(tangents)
-
-
-@partial(jax.jit, compiler_options=_quick())
-def _balance(model, slopes, q, v, drive):
-    """Starting states from the data, (W,), and their derivatives (k + 1, W)."""
-
-    def f(model, q):
-        def one(m, q, v, d):
-            for effect in reversed(m.effects):
-                q = effect.unsense(q)
-            return in_balance(m, q, v, d)
-
-        return jax.vmap(one)(model, q, v, drive)
-
-    along = jnp.zeros_like(jax.tree.leaves(slopes)[0]).at[-1].set(1.0)
-    return _push(f, (model, q), (slopes, tuple(along for _ in q)))
-
-
-@partial(jax.jit, compiler_options=_quick())
-def _constants(model, slopes):
-    """What no step changes, and its derivatives."""
-    return _push(constants, (model,), (slopes,))
-
-
-def _kernel(joints: bool, onward: bool, model, slopes, *rest):
-    """`_shoot`, with the constants it needs."""
-    return _shoot(joints, onward, model, slopes, *_constants(model, slopes), *rest)
-
-
-@partial(jax.jit, static_argnums=(0, 1), compiler_options=_options())
-def _shoot(joints: bool, onward: bool, model, slopes, c, c_slopes, state, slope, drive, h):
-    """Middles and ends of the windows, the path (q, v, what is seen − q) from start to end, and all derivatives."""
-
-    how = How(2 if onward else 3, loops=True)
-
-    def one(model, c, state, drive, h):
-        return advance(model, c, state, drive, h, how)
-
-    if model.effects or model.lever:  # which know of one robot only
-        one = jax.vmap(one)  # the model itself is arithmetic on whole batches, traced sooner so
-
-    def step(both, d):  # derivatives inside the loop, not of the loop: it is traced once
-        state, slope = both
-        new = _push(lambda m, c, s: one(m, c, s, d, h), (model, c, state), (slopes, c_slopes, slope))
-        return new, new
-
-    def read(first, after):
-        full = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, after)
-        seen = () if full.sensed is None else tuple(a - b for a, b in zip(full.sensed, full.q, strict=True))
-        path = (full.q, full.v, seen)
-        if not joints:
-            path = tuple((sum(x) / len(x),) if x else () for x in path)
-        half = len(drive.left) // 2
-        middle_and_end = jax.tree.map(lambda x: x[half - 1 :: half], after)
-        return tuple(jax.tree.map(lambda x, i=i: x[i], middle_and_end) for i in (0, 1)), path
-
-    after, after_slopes = jax.lax.scan(step, (state, slope), drive)[1]
-    ends, path = read(state, after)
-    end_slopes, path_slopes = jax.vmap(read, in_axes=(0, 1))(slope, after_slopes)
-    return ends, end_slopes, path, path_slopes
-
-
-ON_STEP = 1e-6
-"""The share of a step within which a sample lies on the step's start or end."""
-
-
-class _Samples:
-    """Predictions (N, c) and derivatives (N, c, k + 1) at the samples of a request, read off window by window.
-
-    Where the shape is stamped late a sample shows the path that much earlier, in the window before it if need be.
-    """
-
-    def __init__(self, request: Request):
-        w = self.windows = request.windows
-        self.k = _derivatives(request)
-        self.predicted = np.full(w.y.shape, np.nan)
-        self.jacobian = np.full((*w.y.shape, self.k + 1), np.nan, np.float32 if request.onward else float)
-        late = [(float(d), s.latency_s()) for e, s in _effects(request) if (d := e.latency_s()) is not None]
-        self.window, self.step, self.weight, self.slope = w.window, w.step, w.weight, None
-        if late:
-            self.slope = np.asarray(sum(slope for _, slope in late))
-            place = w.window * STEPS + w.step + w.weight
-            opening = (
-                np.maximum.accumulate(np.where(w.opens, np.arange(len(w)), 0)) if request.onward else np.arange(len(w))
-            )
-            place = np.maximum(place - sum(d for d, _ in late) / w.h, opening[w.window] * STEPS)
-            self.window = np.minimum(place // STEPS, w.window).astype(int)
-            self.step = np.minimum(np.floor(place - self.window * STEPS), STEPS - 1).astype(int)
-            self.weight = place - self.window * STEPS - self.step
-
-    def read(self, windows: np.ndarray, path: Any, slopes: Any) -> None:
-        """Take what lies in these windows (an ascending index) from their paths (K + 1, W)."""
-        (q, v, seen), (dq, dv, dseen) = path, slopes
-        mine = np.flatnonzero(np.isin(self.window, windows))
-        h, w = self.windows.h, self.weight[mine]
-        at = self.step[mine] * len(windows) + np.searchsorted(windows, self.window[mine])
-        after = at + len(windows)
-        cubic = (1 - w * w * (3 - 2 * w), w * w * (3 - 2 * w), h * w * (1 - w) ** 2, h * w * w * (w - 1))
-        on_steps = bool(np.all(np.minimum(w, 1 - w) < ON_STEP))
-        nearest = np.where(w > 0.5, after, at)
-
-        def pick(x: np.ndarray, index: np.ndarray) -> np.ndarray:
-            return np.take(x.reshape(*x.shape[:-2], -1), index, axis=-1)
-
-        def taken(x: np.ndarray, rate: np.ndarray, more: np.ndarray | None) -> np.ndarray:
-            if on_steps:
-                return pick(x, nearest) if more is None else pick(x, nearest) + pick(more, nearest)
-            out = cubic[0] * pick(x, at) + cubic[1] * pick(x, after) + cubic[2] * pick(rate, at)
-            out = out + cubic[3] * pick(rate, after)
-            return out if more is None else out + (1 - w) * pick(more, at) + w * pick(more, after)
-
-        none = [None] * len(q)
-        width = self.k
-        for c, (x, rate, more) in enumerate(zip(q, v, seen or none, strict=True)):
-            self.predicted[mine, c] = taken(x, rate, more)
-        for c, (x, rate, more) in enumerate(zip(dq, dv, dseen or none, strict=True)):
-            keep = [*range(width), -1]
-            self.jacobian[mine, c] = taken(x[keep], rate[keep], None if more is None else more[keep]).T
-        if self.slope is not None:
-            for c, rate in enumerate(v):
-                rate = rate.reshape(-1)
-                going = (1 - w) * rate[at] + w * rate[after]
-                self.jacobian[mine, c, :width] -= np.outer(going, self.slope)
-
-
-def _effects(request: Request) -> Any:
-    return zip(request.model.effects, request.slopes.effects, strict=True)

@@ -6,7 +6,8 @@ import jax
 import numpy as np
 import optax
 
-from ljjax.fit.dynamic import ROUNDS, Estimate, Problem, Round, Search, estimate
+from ljjax.fit.dynamic import Search, estimate
+from ljjax.fit.problem import ROUNDS, Estimate, Problem, Round
 from ljjax.fit.shooting import TILE, Asking
 from ljjax.fit.windows import cut
 

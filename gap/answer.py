@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ljjax import effects
-from ljjax.fit.dynamic import Estimate
+from ljjax.fit.problem import Estimate
 from ljjax.fit.result import NOMINAL
 from ljjax.gap import judge, screening, where
 from ljjax.gap.data import role_of

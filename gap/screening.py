@@ -15,7 +15,9 @@ from scipy.optimize import lsq_linear
 
 from ljjax.effect import Effect
 from ljjax.fit.coordinates import Coordinates
-from ljjax.fit.dynamic import Estimate, Problem, Round, Search, bandwidth
+from ljjax.fit.covariance import bandwidth
+from ljjax.fit.dynamic import Search
+from ljjax.fit.problem import Estimate, Problem, Round
 from ljjax.fit.shooting import Asking
 from ljjax.fit.windows import Motion, cut
 from ljjax.gap.candidates import path, pilots, sizes

@@ -12,7 +12,8 @@ import numpy as np
 
 from ljjax.effect import Effect
 from ljjax.fit.coordinates import Coordinates
-from ljjax.fit.dynamic import HUBER, Estimate, Problem, Round, Search, estimate
+from ljjax.fit.dynamic import HUBER, Search, estimate
+from ljjax.fit.problem import Estimate, Problem, Round
 from ljjax.fit.shooting import TILE, Answer, Asking, Request, Starts, together
 from ljjax.fit.windows import Motion, Windows, cut
 from ljjax.gap import screening

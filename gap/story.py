@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ljjax.effect import Effect
-from ljjax.fit.dynamic import Estimate
+from ljjax.fit.problem import Estimate
 from ljjax.gap import where
 from ljjax.gap.inquiry import Inquiry
 from ljjax.gap.result import Diagnosis

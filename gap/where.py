@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ljjax.fit.dynamic import Estimate
+from ljjax.fit.problem import Estimate
 from ljjax.gap.result import Region
 
 UNITS = {

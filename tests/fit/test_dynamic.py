@@ -19,10 +19,12 @@ from ljjax.cli import main
 from ljjax.errors import InputError
 from ljjax.fit import fit, fit_many
 from ljjax.fit.coordinates import Coordinates
-from ljjax.fit.dynamic import ROUNDS, Search, bandwidth
+from ljjax.fit.covariance import bandwidth
+from ljjax.fit.dynamic import Search
 from ljjax.fit.folds import conditions, left_out
 from ljjax.fit.moving import DynamicResult, profile_interval
 from ljjax.fit.pooling import pool
+from ljjax.fit.problem import ROUNDS
 from ljjax.fit.shooting import together
 from ljjax.fit.windows import STEPS, cut, motion, white_noise
 from ljjax.inputs import Inputs

@@ -1,0 +1,137 @@
+"""The compiled kernel of `ljjax.fit.shooting`: windows simulated with their derivatives, in tiles on all cores."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ljjax import batch
+from ljjax.step import How, advance, constants, in_balance
+
+
+def tiled(kernel: Callable, arguments: Any, tile: int) -> Any:
+    """A jitted kernel over arguments whose last axis is the windows, in tiles so wide, on all cores."""
+    leaves = jax.tree.leaves(arguments)
+    count = leaves[0].shape[-1]
+    index = [np.minimum(np.arange(a, a + tile), count - 1) for a in range(0, count, tile)]
+
+    def work(i: np.ndarray) -> Any:
+        return jax.tree.map(np.asarray, kernel(*jax.tree.map(lambda x: np.ascontiguousarray(x[..., i]), arguments)))
+
+    form = (getattr(kernel, "func", kernel), getattr(kernel, "args", ()), jax.tree.structure(arguments))
+    shapes = (*form, *(x.shape[:-1] for x in leaves))
+    parts = []
+    if shapes not in _ready:  # compile once, not in every thread
+        with _uncollected():
+            parts = [work(index[0])]
+        _ready.add(shapes)
+    if len(index) == 1:
+        parts = parts or [work(index[0])]
+    else:
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            parts += pool.map(work, index[len(parts) :])
+    return jax.tree.map(lambda *x: np.concatenate(x, axis=-1)[..., :count], *parts)
+
+
+_ready: set[Any] = set()
+
+
+@contextlib.contextmanager
+def _uncollected() -> Iterator[None]:
+    """Without the garbage collector, which takes a quarter of the time of tracing, and finds nothing."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()
+
+
+def _options() -> dict[str, Any]:
+    """Compiler options of the kernels here, which are compiled once a fit: less is optimised, and they run as fast."""
+    return {**batch.options(), "xla_backend_optimization_level": 1} if batch.options() else {}
+
+
+def _quick() -> dict[str, Any]:
+    """Compiler options of what takes longer to compile than to run: as little work of the compiler as there is."""
+    least = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+    return {**batch.options(), **least} if batch.options() else {}
+
+
+def _push(f: Callable, primals: Any, tangents: Any) -> Any:
+    """f at the primals, and its derivatives along tangents stacked along a new first axis."""
+
+    def along(t: Any) -> Any:
+        return jax.jvp(f, primals, t)
+
+    return jax.vmap(along, out_axes=(None, 0))(tangents)
+
+
+@partial(jax.jit, compiler_options=_quick())
+def balance(model, slopes, q, v, drive):
+    """Starting states from the data, (W,), and their derivatives (k + 1, W)."""
+
+    def f(model, q):
+        def one(m, q, v, d):
+            for effect in reversed(m.effects):
+                q = effect.unsense(q)
+            return in_balance(m, q, v, d)
+
+        return jax.vmap(one)(model, q, v, drive)
+
+    along = jnp.zeros_like(jax.tree.leaves(slopes)[0]).at[-1].set(1.0)
+    return _push(f, (model, q), (slopes, tuple(along for _ in q)))
+
+
+@partial(jax.jit, compiler_options=_quick())
+def _constants(model, slopes):
+    """What no step changes, and its derivatives."""
+    return _push(constants, (model,), (slopes,))
+
+
+def shoot(joints: bool, onward: bool, model, slopes, *rest):
+    """`_shoot`, with the constants it needs."""
+    return _shoot(joints, onward, model, slopes, *_constants(model, slopes), *rest)
+
+
+@partial(jax.jit, static_argnums=(0, 1), compiler_options=_options())
+def _shoot(joints: bool, onward: bool, model, slopes, c, c_slopes, state, slope, drive, h):
+    """Middles and ends of the windows, the path (q, v, what is seen − q) from start to end, and all derivatives."""
+
+    how = How(2 if onward else 3, loops=True)
+
+    def one(model, c, state, drive, h):
+        return advance(model, c, state, drive, h, how)
+
+    if model.effects or model.lever:  # which know of one robot only
+        one = jax.vmap(one)  # the model itself is arithmetic on whole batches, traced sooner so
+
+    def step(both, d):  # derivatives inside the loop, not of the loop: it is traced once
+        state, slope = both
+        new = _push(lambda m, c, s: one(m, c, s, d, h), (model, c, state), (slopes, c_slopes, slope))
+        return new, new
+
+    def read(first, after):
+        full = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, after)
+        seen = () if full.sensed is None else tuple(a - b for a, b in zip(full.sensed, full.q, strict=True))
+        path = (full.q, full.v, seen)
+        if not joints:
+            path = tuple((sum(x) / len(x),) if x else () for x in path)
+        half = len(drive.left) // 2
+        middle_and_end = jax.tree.map(lambda x: x[half - 1 :: half], after)
+        return tuple(jax.tree.map(lambda x, i=i: x[i], middle_and_end) for i in (0, 1)), path
+
+    after, after_slopes = jax.lax.scan(step, (state, slope), drive)[1]
+    ends, path = read(state, after)
+    end_slopes, path_slopes = jax.vmap(read, in_axes=(0, 1))(slope, after_slopes)
+    return ends, end_slopes, path, path_slopes

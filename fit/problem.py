@@ -1,0 +1,104 @@
+"""What a dynamic fit is asked and what it finds: its rounds, the data and parameters, the estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ljjax.fit.coordinates import Coordinates
+from ljjax.fit.points import Points
+from ljjax.fit.shooting import TILE
+from ljjax.fit.windows import Motion, Windows
+from ljjax.model import Model
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round: step of the solver [s], whether windows meet (free runs) and how closely [rad], how many windows are
+    used, and when it ends: when a step would lower χ² by no more than `done`, or that share of it. `onward`: free runs
+    one window after the other, for many fits side by side."""
+
+    step_s: float
+    free: bool
+    meet_rad: float
+    windows: int
+    done: float
+    share: float
+    onward: bool = False
+
+
+ROUNDS = (
+    Round(0.005, False, np.inf, 2 * TILE, 0.1, 1e-2),
+    Round(0.005, True, 3e-5, 1_000_000, 0.1, 1e-4),
+    Round(0.0025, True, 1e-6, 1_000_000, 0.02, 0.0),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What a dynamic fit is asked: the data of one robot and how its parameters may move.
+
+    Attributes:
+        coordinates: the free parameters.
+        motions: the moving runs.
+        points: steady and probe points, which count with their own scatter.
+        priors: mean and standard deviation by path, in the parameter's unit.
+        bounds: lowest and highest value by path, in the parameter's unit.
+    """
+
+    coordinates: Coordinates
+    motions: Sequence[Motion]
+    points: Sequence[Points] = ()
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What a dynamic fit found.
+
+    Attributes:
+        x: (k,) coordinates; `model` the robot.
+        covariance: (k, k) of x, with the residuals' colour; `white` the same were they white.
+        windows, predicted: the last round's windows and what their samples should read (N, c).
+        jacobian: (N, c, k) derivatives of `predicted`, the runs' starting angles projected off.
+        sigma: (c,) standard deviation of the residuals [rad]; `weight` (N, c) of each sample, 1 or less.
+        offset: (R,) correction of each run's starting angle [rad].
+        statics: predictions and scatter for each of the problem's points.
+        chi2: weighted sum of squares; `history` the course: round, passes over the data in it,
+            RMS error [rad], damping, x.
+        converged: whether the last round ended by its own rule.
+        step_error: (R,) the largest change of a prediction from halving the solver's step [rad], or None.
+    """
+
+    problem: Problem
+    x: np.ndarray
+    model: Model
+    covariance: np.ndarray
+    white: np.ndarray
+    windows: Windows
+    predicted: np.ndarray
+    jacobian: np.ndarray
+    sigma: np.ndarray
+    weight: np.ndarray
+    offset: np.ndarray
+    statics: list[tuple[np.ndarray, float]]
+    chi2: float
+    history: list[tuple[int, int, float, float, np.ndarray]]
+    converged: bool
+    step_error: np.ndarray | None = None
+
+    @property
+    def error(self) -> np.ndarray:
+        """(N, c) measured − predicted [rad]."""
+        return self.windows.y - self.predicted
+
+    def chi2_by(self, scale: Estimate) -> float:
+        """χ² of this estimate by another's scale of residuals, of the same data."""
+        out = np.sum(scale.weight * (self.error / scale.sigma) ** 2)
+        out += np.sum((self.offset / np.array([m.q0_sd for m in self.problem.motions])) ** 2)
+        for p, (value, _), (_, s) in zip(self.problem.points, self.statics, scale.statics, strict=True):
+            out += np.sum(((value - p.value) / s) ** 2)
+        return float(out)
