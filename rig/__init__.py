@@ -1,5 +1,4 @@
-"""An exported law on hardware, without JAX.
+"""An exported law on hardware, without JAX: the loop, drivers, safety and logging of a real rig.
 
-What will live here: the loop, drivers, safety and logging of a real rig, and `run(law, robot)`. It imports the logs
-part of ljjax and numpy, and never JAX. Nothing yet.
+Imports the law, the logs part of ljjax and numpy, and never JAX. Names are found when they are asked for.
 """
