@@ -182,12 +182,12 @@ def batch_size(count: int, cases: Sequence[Case], n: int, errors: bool) -> int:
     steps = max((c.steps for c in cases), default=1)
     stamps = max((len(c.stamps) for c in cases), default=1)
     an_element = 8 * (12 * n * steps * (2 if errors else 1) + 16 * n * stamps)
-    most = int(max(1, min(LARGEST_BATCH, _free_bytes() / 4 // an_element)))
+    most = int(max(1, min(LARGEST_BATCH, free_bytes() / 4 // an_element)))
     batches = -(-count // most)
     return max(1, -(-count // batches))
 
 
-def _free_bytes() -> float:
+def free_bytes() -> float:
     """Memory to count on: the accelerator's, or what the system calls available; 2 GiB where nobody says."""
     said = jax.devices()[0].memory_stats() if jax.default_backend() != "cpu" else None
     if said and "bytes_limit" in said:
