@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from ljjax.control.files import export
     from ljjax.control.loop import Loop, Scenario, scenario, simulate
     from ljjax.control.problem import Problem
-    from ljjax.control.robustness import Robust, robust
+    from ljjax.control.robust_result import Robust
+    from ljjax.control.robustness import robust
     from ljjax.control.runtimes import parity
     from ljjax.control.spec import Spec
     from ljjax.control.statics import Hardware
@@ -46,7 +47,7 @@ _HOME = {
     "Hardware": "statics",
     "Loop": "loop",
     "Problem": "problem",
-    "Robust": "robustness",
+    "Robust": "robust_result",
     "Scenario": "loop",
     "Spec": "spec",
     "Tuned": "tuning",

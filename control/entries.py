@@ -1,4 +1,4 @@
-"""Entries of a TOML file, checked one by one: each refusal names the file, the key, what was found and what is expected."""
+"""Entries of a TOML file, checked: a refusal names the file, the key, what was found and what is expected."""
 
 from __future__ import annotations
 

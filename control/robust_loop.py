@@ -26,13 +26,13 @@ POINTS = 100
 
 class Told(NamedTuple):
     """What is kept of a loop: measures (m,) as defined and smooth, what it costs, whether all its numbers are finite,
-    its angle (P,) at `OneLoop.stamps` [rad]."""
+    its angle (P,) at `OneLoop.stamps` [rad]; arrays of JAX, or of NumPy once they are computed."""
 
-    plain: Array
-    smooth: Array
-    price: Array
-    ok: Array
-    theta: Array
+    plain: Any
+    smooth: Any
+    price: Any
+    ok: Any
+    theta: Any
 
 
 class OneLoop:

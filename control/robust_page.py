@@ -16,7 +16,7 @@ from ljjax.law.parts import KINDS
 from ljjax.page import ACCENT, GRID, INK, MUTED, number
 
 if TYPE_CHECKING:
-    from ljjax.control.robustness import Robust
+    from ljjax.control.robust_result import Robust
 
 MISS = "#c77700"
 

@@ -1,4 +1,4 @@
-"""A robustness study told: on the terminal, as robust.json and samples.nc, as report.html, and its worst case as a run."""
+"""A robustness study told: on the terminal, as robust.json, samples.nc and report.html, its worst case as a run."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from ljjax import modelfile, sweep_file
 from ljjax.control.chance import Difference
 from ljjax.control.files import provenance
 from ljjax.control.robust_page import page_of
+from ljjax.control.robust_result import Robust
 from ljjax.control.robust_run import PARTIAL, SAMPLES
-from ljjax.control.robustness import Robust
 from ljjax.control.spec import MEASURES
 from ljjax.control.telling import SHOWN, finite
 from ljjax.control.worst import write_log
@@ -79,7 +79,7 @@ def as_dict(study: Robust, about: dict[str, Any], replay_error_rad: float) -> di
 
     def chance(c: Any) -> dict[str, Any]:
         limit = {} if c.limit is None else {"limit": c.limit}
-        return {**limit, "met": c.met, "count": c.count, "probability": c.share, "ci95": c.ci95}
+        return {**limit, "met": c.met, "count": c.draws, "probability": c.share, "ci95": c.ci95}
 
     return finite(
         {
@@ -190,7 +190,7 @@ def common(study: Robust) -> list[str]:
     """What draws that miss a requirement have in common, a line each."""
     units = {entry.name: entry.unit for entry in study.one.given.entries}
     found = [in_words(d, units[d.name]) for d in study.in_common]
-    missed = int((~study.good.all(axis=(1, 2))).sum())
+    missed = int(study.missed.sum())
     if found:
         return found
     if min(missed, len(study.xi) - missed) < 5:

@@ -9,113 +9,28 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import jax
 import numpy as np
 
-from ljjax.control.chance import Difference, Index, design, differences, sobol, wilson
+from ljjax.control.chance import Index, design, sobol
 from ljjax.control.loop import to_jax
 from ljjax.control.robust_inputs import assumed, uncertain
 from ljjax.control.robust_loop import OneLoop, Told
+from ljjax.control.robust_result import Robust
 from ljjax.control.robust_run import Kept, batch_size, digest, simulate
 from ljjax.control.spec import MEASURES, Spec, default, refuse
 from ljjax.control.uncertain import COURSE, draw, possible
 from ljjax.control.vary import usual
-from ljjax.control.worst import Worst, climb, usual_radius
+from ljjax.control.worst import climb, usual_radius
 from ljjax.errors import InputError
 from ljjax.law.parts import Law
 from ljjax.model import Model, astype, check
 
 Tell = Callable[[str, int, int], None]
-
-
-class Chance(NamedTuple):
-    """How often a requirement is met: by `met` of `count`, with Wilson's 95 % interval of the probability."""
-
-    name: str
-    limit: float | None
-    met: int
-    count: int
-
-    @property
-    def share(self) -> float:
-        return self.met / self.count
-
-    @property
-    def ci95(self) -> tuple[float, float]:
-        return wilson(self.met, self.count)
-
-
-@dataclass(frozen=True, eq=False)
-class Robust:
-    """A robustness study. N draws, T targets, m measures (`MEASURES`), d coordinates.
-
-    Attributes:
-        one: the law, the model with its effects, the specification and what is drawn (`one.given`).
-        assumed: what was assumed, in words.
-        xi, courses: (N, d) standard normal numbers and (N,) the noise's courses; `columns` the quantities by name (N,).
-        redrawn: robots that were impossible and drawn anew.
-        told: measures (N, T, m), costs (N, T), whether the loops are finite (N, T), their angles (N, T, P).
-        sensitivity: measure (or `cost`), of the worst target → group → Sobol's indices; `sobol_rows` used, of how many.
-        worst: the worst case nearby.
-        options, identity: of the call, and what makes it this study and no other.
-        fresh, seconds: closed loops simulated by this call, worst case apart, and how long these took [s].
-    """
-
-    one: OneLoop
-    assumed: tuple[str, ...]
-    xi: np.ndarray
-    courses: np.ndarray
-    columns: Mapping[str, np.ndarray]
-    redrawn: int
-    told: Told
-    sensitivity: Mapping[str, Mapping[str, Index]]
-    sobol_rows: tuple[int, int]
-    sobol_told: Told
-    worst: Worst
-    options: Mapping[str, Any]
-    identity: Mapping[str, Any]
-    fresh: int
-    seconds: float
-
-    @property
-    def required(self) -> dict[str, float]:
-        """Limits by measure, of those that count."""
-        return {k: r.limit for k, r in self.one.spec.require.items() if r.weight > 0}
-
-    @property
-    def good(self) -> np.ndarray:
-        """(N, T, m) whether a loop meets the limit of a measure; one that failed meets none. True where none is set."""
-        limits = np.array([self.required.get(k, math.inf) for k in MEASURES])
-        finite = np.asarray(self.told.ok)[..., None]
-        return np.where(np.isinf(limits), True, (np.asarray(self.told.plain) <= limits) & finite)
-
-    @property
-    def chances(self) -> list[Chance]:
-        """Of each requirement at every target, then of all together (`all`), a draw one trial."""
-        good, count = self.good.all(axis=1), len(self.xi)
-        rows = [Chance(k, x, int(good[:, list(MEASURES).index(k)].sum()), count) for k, x in self.required.items()]
-        return [*rows, Chance("all", None, int(good.all(axis=1).sum()), count)]
-
-    @property
-    def by_target(self) -> list[Chance]:
-        """Of all requirements together, target by target."""
-        good = self.good.all(axis=2)
-        return [Chance(f"targets[{t}]", None, int(x.sum()), len(x)) for t, x in enumerate(good.T)]
-
-    @property
-    def failed(self) -> list[tuple[int, int]]:
-        """Draw and target of every loop whose numbers are not finite."""
-        return [(int(i), int(t)) for i, t in np.argwhere(~np.asarray(self.told.ok))]
-
-    @property
-    def in_common(self) -> list[Difference]:
-        """What draws that miss a requirement have in common."""
-        return differences(self.columns, ~self.good.all(axis=(1, 2)))
 
 
 def robust(
@@ -267,7 +182,7 @@ def _sensitivity(
         return {}, 0
     shape = rows.shape[:2]
     real = possible(one.model, one.given, rows.reshape(-1, rows.shape[-1])[:, :-1], highest)
-    whole = (real & np.asarray(told.ok).all(axis=1)).reshape(shape).all(axis=0)
+    whole = np.all((real & np.all(told.ok, axis=1)).reshape(shape), axis=0)
     results = {"cost": np.asarray(told.price).max(axis=1)}
     for i, name in enumerate(MEASURES):
         if name in one.spec.require and one.spec.require[name].weight > 0:

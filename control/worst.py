@@ -24,6 +24,8 @@ STARTS = 3
 """Samples to start from, beside the centre."""
 FIRST, LAST = 0.5, 0.05
 """Length of the first and of the last step, in standard deviations."""
+HALVINGS = 6
+"""How often a step to an impossible robot is halved before it is left out."""
 
 
 class Worst(NamedTuple):
@@ -86,7 +88,9 @@ def climb(
     course, aim = np.append(courses[sample], courses[worst[0]]), np.append(target, worst[1])
     fixed = course, theta[aim], stiffness[aim]
     program, best, best_cost, begun = batch.over(one.slope), x.copy(), np.full(len(x), -np.inf), -math.inf
+    used = 0
     for k in range(steps + 1):
+        used += len(x)
         value, slope = (np.asarray(y) for y in program(x, *fixed))
         better = np.isfinite(value) & (value > best_cost)
         best[better], best_cost[better] = x[better], value[better]
@@ -102,20 +106,22 @@ def climb(
         x[lost] = best[lost]  # back to where it was, and from there by less
         x = _moved(one, x, np.where(lost[:, None], 0.0, slope), rate, radius, vacuum_kpa)
     i = int(np.argmax(best_cost))
-    return _told(one, best[i], int(course[i]), int(aim[i]), radius, begun, (k + 1) * len(x))
+    return _told(one, best[i], int(course[i]), int(aim[i]), radius, begun, used)
 
 
 def _moved(one: OneLoop, x: np.ndarray, slope: np.ndarray, rate: float, radius: float, vacuum_kpa: float) -> np.ndarray:
     length = np.linalg.norm(slope, axis=1, keepdims=True)
     step = rate * slope / np.where(length > 0, length, 1.0)
-    for _ in range(6):
+    out = x.copy()
+    for _ in range(HALVINGS):
         y = x + step
         y *= np.minimum(1.0, radius / np.maximum(np.linalg.norm(y, axis=1, keepdims=True), 1e-300))
-        bad = ~possible(one.model, one.given, y, vacuum_kpa)
-        if not bad.any():
-            return y
-        step[bad] *= 0.5
-    return np.where(bad[:, None], x, y)
+        good = possible(one.model, one.given, y, vacuum_kpa)
+        out[good] = y[good]
+        if good.all():
+            break
+        step[~good] *= 0.5
+    return out
 
 
 def _told(one: OneLoop, xi: np.ndarray, course: int, target: int, radius: float, begun: float, loops: int) -> Worst:
@@ -126,10 +132,10 @@ def _told(one: OneLoop, xi: np.ndarray, course: int, target: int, radius: float,
     )
     values = {name: float(x[0]) for name, x in one.given.columns(xi[None]).items()}
     robot = one.robot({name: jnp.asarray(x) for name, x in values.items()})
-    named = [dict(zip(MEASURES, map(float, y), strict=True)) for y in (plain, centre)]
+    named, around = (dict(zip(MEASURES, map(float, y), strict=True)) for y in (plain, centre))
     return Worst(
         xi, float(np.linalg.norm(xi)), radius, course, target, values, robot, float(cost), begun, float(centre_cost),
-        *named, loop, middle, loops + 2,
+        named, around, loop, middle, loops + 2,
     )  # fmt: skip
 
 
