@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ljjax import batch
 from ljjax.chain import lateral_jacobian
 from ljjax.control.loop import HOW, Loop, Scenario, depth, run, substeps_of, to_jax
 from ljjax.control.measures import Asked, exact, smooth
@@ -41,13 +42,15 @@ class OneLoop:
 
     Attributes:
         ticks: of the loop; `stamps` (P,) the times at which its angle is kept [s].
-        kept: ticks that delays reach back; set by `reach`.
+        kept: ticks that delays reach back; set by `reach`, before anything is computed.
+        many, slopes, alone: `told` and `slope` of many loops at once, and `whole` of one, compiled when first called.
     """
 
     def __init__(self, law: Law, model: Model, spec: Spec, vary: Vary, given: Inputs, dtype: Any):
         self.law, self.model, self.given, self.dtype = to_jax(law, dtype), astype(model, dtype), given, dtype
         self.spec, self.vary, self.period = spec, vary, float(law.period_s)
         self.ticks, self.substeps, self.kept = round(spec.duration_s / self.period), substeps_of(law), 2
+        self.many, self.slopes, self.alone = batch.over(self.told), batch.over(self.slope), jax.jit(self.whole)
         self._every = -(-self.ticks // POINTS)
         self.stamps = np.arange(0, self.ticks, self._every) * self.period
 

@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import os
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from ljjax.control.robust_run import PARTIAL, SAMPLES
 from ljjax.control.spec import MEASURES
 from ljjax.control.telling import SHOWN, finite
 from ljjax.control.worst import write_log
+from ljjax.errors import InputError
 from ljjax.outputs import artefacts
 from ljjax.page import number
 from ljjax.sweep_file import LARGEST, Unfinished, Variable
@@ -65,6 +67,17 @@ def save(
         sweep_file.write(folder / SAMPLES, variables(study), {**_attributes(study), **about})
         (folder / "report.html").write_text(page_of(study, about["software"]), encoding="utf-8")
     Unfinished(Path(out) / PARTIAL).remove()
+
+
+def refuse_inputs(out: PathLike, inputs: Sequence[PathLike]) -> None:
+    """Refuse a folder in which an artefact would replace an input, before hours are spent.
+
+    Raises:
+        InputError: naming the input.
+    """
+    for path in inputs:
+        if any(os.path.realpath(path) == os.path.realpath(Path(out) / name) for name in NAMES):
+            raise InputError(f"{path}: is an input and would be replaced; choose another --out")
 
 
 def _law(path: PathLike | None) -> dict[str, str]:

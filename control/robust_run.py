@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from ljjax import batch, sweep_file
+from ljjax import sweep_file
 from ljjax.control.robust_loop import OneLoop, Told
 from ljjax.errors import InputError
 from ljjax.sweep_file import Unfinished
@@ -41,11 +41,13 @@ class Kept:
 
     def __init__(self, out: Path, identity: Mapping[str, Any]):
         identity = json.loads(json.dumps(identity))
-        self.finished: dict[str, np.ndarray] | None = None
+        self.finished: Told | None = None
         if (out / SAMPLES).exists():
             variables, about = sweep_file.read(out / SAMPLES)
             _same(out / SAMPLES, json.loads(about.get("identity", "{}")), identity)
-            self.finished = {name: x.data for name, x in variables.items()}
+            if all(f"all_{name}" in variables for name in Told._fields):  # a very large study keeps not all
+                told = {name: variables[f"all_{name}"].data for name in Told._fields}
+                self.finished = Told(**{**told, "ok": told["ok"] > 0})
         self.unfinished = Unfinished(out / PARTIAL)
         there = self.unfinished.plan()
         if there is not None:
@@ -79,7 +81,6 @@ def simulate(
 
     A loop whose numbers are not finite has `ok` False, and its own numbers, and leaves the others alone.
     """
-    program = batch.over(one.told)
     theta, stiffness = (np.array([getattr(x, k) for x in one.spec.targets]) for k in ("theta_rad", "stiffness_n_m"))
     targets, count, dtype = len(theta), len(xi), np.dtype(one.dtype)
     parts, fresh = [], 0
@@ -95,7 +96,7 @@ def simulate(
                 np.tile(theta, size).astype(dtype),
                 np.tile(stiffness, size).astype(dtype),
             )
-            out = program(*cases)._asdict()
+            out = one.many(*cases)._asdict()
             out["theta"] = out["theta"].astype(np.float32)
             found = {key: np.asarray(x).reshape(size, targets, *x.shape[1:])[: len(chosen)] for key, x in out.items()}
             fresh += len(chosen) * targets

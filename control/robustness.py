@@ -135,14 +135,16 @@ def robust(
     began = time.perf_counter()
     size = batch_size(one, len(everything), len(spec.targets), batch)
     if kept is not None and kept.finished is not None:
-        told, fresh = Told(*(kept.finished[f"all_{name}"] for name in Told._fields)), 0
+        told, fresh = kept.finished, 0
     else:
         told, fresh = simulate(one, everything, every_course, size, kept, tell("closed loops"))
     seconds = time.perf_counter() - began
     own, rest = (Told(*(x[part] for x in told)) for part in (slice(0, samples), slice(samples, None)))
     found, used = _sensitivity(one, rest, rows, tuple(groups), seed, highest)
-    climbing = OneLoop(law, model, spec, vary, given, model.jamming.c4.dtype)
-    climbing.kept = one.kept
+    climbing = one
+    if precision == "float32":
+        climbing = OneLoop(law, model, spec, vary, given, model.jamming.c4.dtype)
+        climbing.kept = one.kept
     far = usual_radius(len(given.entries)) if radius is None else radius
     cost = np.where(own.ok, own.price, np.nan)
     worst = climb(climbing, xi, courses, cost, far, steps, highest, tell("worst case"))

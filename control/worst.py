@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ljjax import batch
 from ljjax.control.loop import Loop
 from ljjax.control.robust_loop import OneLoop
 from ljjax.control.spec import MEASURES
@@ -87,11 +86,11 @@ def climb(
     x = np.concatenate([xi[sample], np.zeros((1, xi.shape[1]))])
     course, aim = np.append(courses[sample], courses[worst[0]]), np.append(target, worst[1])
     fixed = course, theta[aim], stiffness[aim]
-    program, best, best_cost, begun = batch.over(one.slope), x.copy(), np.full(len(x), -np.inf), -math.inf
+    best, best_cost, begun = x.copy(), np.full(len(x), -np.inf), -math.inf
     used = 0
     for k in range(steps + 1):
         used += len(x)
-        value, slope = (np.asarray(y) for y in program(x, *fixed))
+        value, slope = (np.asarray(y) for y in one.slopes(x, *fixed))
         better = np.isfinite(value) & (value > best_cost)
         best[better], best_cost[better] = x[better], value[better]
         if k == 0:
@@ -125,10 +124,10 @@ def _moved(one: OneLoop, x: np.ndarray, slope: np.ndarray, rate: float, radius: 
 
 
 def _told(one: OneLoop, xi: np.ndarray, course: int, target: int, radius: float, begun: float, loops: int) -> Worst:
-    whole, aim = jax.jit(one.whole), one.spec.targets[target]
+    aim = one.spec.targets[target]
     asked = (jnp.asarray(course, jnp.uint32), *(jnp.asarray(v, one.dtype) for v in (aim.theta_rad, aim.stiffness_n_m)))
     (loop, _, plain, cost), (middle, _, centre, centre_cost) = (
-        jax.tree.map(np.asarray, whole(jnp.asarray(y, one.dtype), *asked)) for y in (xi, np.zeros_like(xi))
+        jax.tree.map(np.asarray, one.alone(jnp.asarray(y, one.dtype), *asked)) for y in (xi, np.zeros_like(xi))
     )
     values = {name: float(x[0]) for name, x in one.given.columns(xi[None]).items()}
     robot = one.robot({name: jnp.asarray(x) for name, x in values.items()})
