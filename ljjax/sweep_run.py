@@ -111,7 +111,7 @@ def shapes(columns: Mapping[str, np.ndarray], base: np.ndarray, count: int) -> n
 
 def inadmissible(model: Model, columns: Mapping[str, np.ndarray], count: int, pressures: Sequence[float]) -> list[str]:
     """For each parameter set, why it is impossible within the pressures [kPa]; empty where it is possible."""
-    copy = jax.tree.map(lambda leaf: leaf, model)  # changed in place below: far faster than a new model each
+    copy = jax.tree.map(np.asarray, model)  # changed in place below: far faster than a new model each
     own = [(getattr(copy, path.split(".")[0]), path.split(".")[1], x) for path, x in columns.items() if path in UNITS]
     reasons = []
     for i in range(count):
@@ -119,7 +119,7 @@ def inadmissible(model: Model, columns: Mapping[str, np.ndarray], count: int, pr
             (f"{path} = {x[i]:g}: must be a finite number" for path, x in columns.items() if not np.isfinite(x[i])), ""
         )
         for table, name, x in own:
-            object.__setattr__(table, name, jnp.asarray(x[i]))
+            object.__setattr__(table, name, x[i])
         try:
             check(copy, (min(pressures), max(pressures)), where="")
         except InputError as error:

@@ -54,7 +54,7 @@ def command(
     from ljjax import law as laws
     from ljjax import modelfile
     from ljjax.control import fitted
-    from ljjax.control.robust_report import save, show
+    from ljjax.control.robust_report import refuse_inputs, save, show
     from ljjax.control.robustness import robust
     from ljjax.control.spec import load
 
@@ -65,6 +65,8 @@ def command(
         raise InputError(f"--batch {batch}: expected a number of loops ≥ 1")
     if radius is not None and not 0 < radius < 100:
         raise InputError(f"--radius {radius:g}: expected standard deviations between 0 and 100")
+    keep = tuple(x for x in (spec, fit) if x is not None and x.is_file())
+    refuse_inputs(out, [law, model, *keep])
     given, loaded = laws.load(law), modelfile.load(model)
     wanted = None if spec is None else load(spec)
     errors = fitted.Fitted({}, {}) if fit is None else fitted.read(fit)
@@ -94,7 +96,5 @@ def command(
     except KeyboardInterrupt:
         print(f"ljjax: interrupted; what is done is kept in {out}: the same command goes on", file=sys.stderr)
         raise SystemExit(130) from None
-    save(
-        study, out, law_path=law, model_path=model, keep=tuple(x for x in (spec, fit) if x is not None and x.is_file())
-    )
+    save(study, out, law_path=law, model_path=model, keep=keep)
     show(study, out)

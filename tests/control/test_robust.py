@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from statistics import NormalDist
 
 import jax.numpy as jnp
@@ -16,7 +17,8 @@ import pytest
 
 from ljjax import law, modelfile, replay, sweep_file
 from ljjax.cli import main
-from ljjax.control import Hardware, design, export, fitted, robust_report
+from ljjax.control import Hardware, design, export, fitted, robust, robust_report
+from ljjax.control import uncertain as uncertain_module
 from ljjax.control.chance import design as saltelli
 from ljjax.control.chance import differences, sobol, wilson
 from ljjax.control.robust_inputs import uncertain
@@ -48,12 +50,14 @@ noise_rad = 2e-4
 [vary]
 compute_ticks = [0.5, 1.5]
 shape_rad = 0.003
+[vary.effects.sensor_bias]
+offset_rad = [0.0, 0.005]
 [require.stiffness_error]
 limit = 0.03
 [require.settling_s]
 limit = 0.3
 """
-FEW = ["--samples", "40", "--sobol", "8", "--steps", "4", "--effects", "sensor_bias", "--seed", "3"]
+FEW = ["--samples", "40", "--sobol", "8", "--steps", "4", "--seed", "3"]
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +114,7 @@ def test_the_command_writes_everything(place, study):
 def test_the_probability_is_the_known_one(study, robot):
     """Of the stiffness error, which c₄ alone decides, K_T rising with it: two quantiles of a normal distribution."""
     target = study.one.spec.targets[0]
-    vacuum = jnp.asarray(float(study.worst.loop.vacuum[-1]) if study.worst.target == 0 else vacuum_for(study))
+    vacuum = jnp.asarray(vacuum_for(study))
     gamma = study.one.law.gains.gamma
 
     def error(c4: float) -> float:
@@ -132,8 +136,7 @@ def test_the_probability_is_the_known_one(study, robot):
 
 
 def vacuum_for(study) -> float:
-    given = law.load
-    del given
+    """That which the law commands for the first target [kPa]."""
     table, limits = np.asarray(study.one.law.tables.root), study.one.law.limits
     k = np.linspace(float(limits.stiffness_min_n_m), float(limits.stiffness_max_n_m), len(table))
     w = np.interp(study.one.spec.targets[0].stiffness_n_m, k, table)
@@ -174,8 +177,8 @@ def test_the_worst_case_replays(place, study):
 
 def test_derivatives_by_what_is_drawn_are_those_of_differences(study):
     one = study.one
-    x = study.xi[:1]
-    rest = (study.courses[:1], np.array([0.12]), np.array([one.spec.targets[0].stiffness_n_m]))
+    x = np.repeat(study.xi[:1], 4, axis=0)  # as many as climb side by side
+    rest = (np.repeat(study.courses[:1], 4), np.full(4, 0.12), np.full(4, one.spec.targets[0].stiffness_n_m))
     value, slope = one.slopes(x, *rest)
     h = 1e-5
     for i in range(x.shape[1]):
@@ -194,14 +197,12 @@ def test_a_loop_that_fails_is_named_and_leaves_the_others_alone(study):
     size = len(study.told.ok) + len(study.sobol_told.ok)
     size = -(-size // -(-size // 512)) if size > 512 else size
     xi = study.xi.copy()
-    xi[5] = 1e200
+    xi[5] = np.nan
     told, _ = simulate(study.one, xi, study.courses, size, None, lambda *_: None)
     others = np.arange(len(xi)) != 5
     for a, b in zip(told, study.told, strict=True):
         np.testing.assert_array_equal(a[others], b[others])
-    import dataclasses
-
-    broken = dataclasses.replace(study, told=told, xi=xi)
+    broken = replace(study, told=told, xi=xi)
     assert broken.failed == [(5, 0), (5, 1)] and not broken.good[5].all(axis=1).any()
     assert broken.chances[-1].met <= study.chances[-1].met and broken.chances[-1].draws == 40
     said = robust_report.as_dict(broken, {}, 0.0)
@@ -261,13 +262,12 @@ def test_quantities_keep_within_their_bounds():
     assert x["m"].min() >= 0 and np.mean(x["m"]) == pytest.approx(math.sqrt(2 / math.pi), abs=0.02)  # half a normal
 
 
-def test_impossible_robots_are_drawn_anew(robot):
+def test_impossible_robots_are_drawn_anew(robot, monkeypatch):
     model, given = uncertain(robot(), Vary(), (), {"friction.mu_s": 1e-3}, {}, {}, 1.0)
     xi, redrawn = draw(model, given, 200, np.random.default_rng(0), 40.0)
     assert redrawn > 20 and given.columns(xi)["friction.mu_s"].min() >= 0.0025
-    model, given = uncertain(
-        robot(), Vary(), (), {"jamming.c4": 1e9, "elastic.c3": 1e9, "jamming.c5": 1e9}, {}, {}, 1.0
-    )
+    monkeypatch.setattr(uncertain_module, "TRIES", 2)
+    model, given = uncertain(robot(), Vary(), (), {"jamming.c4": 1e9}, {}, {}, 1.0)
     with pytest.raises(InputError, match="lower the standard deviations"):
         draw(model, given, 64, np.random.default_rng(0), 40.0)
 
@@ -287,7 +287,7 @@ def test_effects_have_their_priors_and_pushes_their_time(robot):
     made = design(robot(), "integral", hardware=Hardware(theta_max_rad=0.25))
     one = OneLoop(made.law, model, Spec((Target(0.1, 5000.0),), duration_s=0.4), vary, given, float)
     plan = one.scenario({}, model, jnp.asarray(1, jnp.uint32), jnp.asarray(0.1), jnp.asarray(5000.0))
-    pushed = np.flatnonzero(np.asarray(plan.torque).any(axis=1)) * one.period
+    pushed = np.flatnonzero((np.abs(plan.torque) > 1e-9).any(axis=1)) * one.period
     assert (pushed.min(), pushed.max()) == pytest.approx((0.1, 0.145))
     assert float(jnp.std(plan.noise)) == pytest.approx(2 * 1e-4, rel=0.3)
 
@@ -428,6 +428,4 @@ def test_an_input_is_never_replaced_and_nothing_uncertain_is_said(place, tmp_pat
     assert main([*args, "--spec", str(tmp_path / "spec.toml")]) == 2
     assert "nothing is uncertain" in capsys.readouterr().err and not (tmp_path / "new").exists()
     with pytest.raises(InputError, match="the law|is for 2 segments"):
-        from ljjax.control import robust
-
         robust(law.load(place / "law.json"), robot(3), load(place / "spec.toml"))
