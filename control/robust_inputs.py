@@ -59,7 +59,9 @@ def uncertain(
             raise InputError(f"vary.push_at_s = {vary.push_at_s[0]:g}: the loop has ended at {duration_s:g} s by then")
         entries += _range("push_n", vary.push_n, "N")
         entries += _range("push_at_s", vary.push_at_s, "s") + _range("push_for_s", vary.push_for_s, "s")
-    return model, inputs(entries, correlation, {SHAPE: tuple(f"shape.q{i + 1}" for i in range(model.n))})
+    joined = {f"effects.{e.id}": tuple(f"effects.{e.id}.{name}" for name in e.fields()) for e in model.effects}
+    joined[SHAPE] = tuple(f"shape.q{i + 1}" for i in range(model.n))
+    return model, inputs(entries, correlation, joined)
 
 
 def _range(name: str, ends: tuple[float, float] | None, unit: str) -> list[Input]:

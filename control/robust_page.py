@@ -55,7 +55,7 @@ def page_of(study: Robust, software: str) -> str:
         parts += [page.figure(_histogram(study, name), SHOWN[name][0], "All loops; beyond the limit in orange.")]
     parts += ["</div>", "<h2>What drives it</h2>"]
     parts += [
-        "<p>Draws that miss a requirement have:</p><ul>",
+        "<p>Draws that miss a requirement have in common:</p><ul>",
         *(f"<li>{escape(x)}</li>" for x in common(study)),
         "</ul>",
     ]

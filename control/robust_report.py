@@ -115,7 +115,7 @@ def as_dict(study: Robust, about: dict[str, Any], replay_error_rad: float) -> di
                 ],
             },
             "redrawn": study.redrawn,
-            "in_common": [d._asdict() for d in study.in_common],
+            "in_common": {k: [d._asdict() for d in found] for k, found in study.in_common.items()},
             "sensitivity": {
                 "rows": study.sobol_rows[0],
                 "rows_asked": study.sobol_rows[1],
@@ -189,26 +189,23 @@ def _attributes(study: Robust) -> dict[str, Any]:
 
 
 def in_words(difference: Difference, unit: str) -> str:
-    """A difference between failing and other draws as a sentence."""
-    what = f"{difference.name} further from its mean" if difference.away else difference.name
-    if difference.away:
-        means = f"by {number(difference.failing)} {unit} on average, against {number(difference.passing)}"
-        return f"{what}: {means} ({difference.size:+.2f} sd)"
+    """A difference between failing and other draws in words."""
+    means = f"{number(difference.failing)} against {number(difference.passing)} {unit} on average"
     side = "higher" if difference.size > 0 else "lower"
-    means = f"{number(difference.failing)} {unit} on average, against {number(difference.passing)}"
-    return f"{what} {side}: {means} ({difference.size:+.2f} sd)"
+    if difference.away:
+        side = "further from its mean" if difference.size > 0 else "nearer to its mean"
+    return f"{difference.name} {side} ({means}, {difference.size:+.2f} sd)"
 
 
 def common(study: Robust) -> list[str]:
-    """What draws that miss a requirement have in common, a line each."""
+    """What draws that miss a requirement have in common, a line each requirement."""
     units = {entry.name: entry.unit for entry in study.one.given.entries}
-    found = [in_words(d, units[d.name]) for d in study.in_common]
-    missed = int(study.missed.sum())
-    if found:
-        return found
-    if min(missed, len(study.xi) - missed) < 5:
-        return [f"{missed} of {len(study.xi)} draws miss a requirement: too one-sided to compare them with the others"]
-    return ["no quantity differs by more than three standard errors between draws that miss a requirement and others"]
+    lines = []
+    for name, found in study.in_common.items():
+        what = "any requirement" if name == "all" else SHOWN[name][0]
+        if found:
+            lines.append(f"{what}: " + "; ".join(in_words(d, units[d.name]) for d in found[:3]))
+    return lines or ["nothing that differs by more than three standard errors, or too few on one side to tell"]
 
 
 def show(study: Robust, out: PathLike, console: Console | None = None) -> None:
@@ -239,7 +236,7 @@ def show(study: Robust, out: PathLike, console: Console | None = None) -> None:
         say(f"beware: {len(study.failed)} loops failed (numbers that are not finite): draw {named}{more}", "yellow")
     if study.redrawn:
         say(f"{study.redrawn} draws were no possible robot and were drawn anew")
-    say("Draws that miss a requirement have:")
+    say("Draws that miss a requirement have in common:")
     for line in common(study):
         say(f"  {line}")
     if indices := study.sensitivity.get("cost"):

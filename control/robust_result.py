@@ -99,6 +99,7 @@ class Robust:
         return ~np.all(self.good, axis=(1, 2))
 
     @property
-    def in_common(self) -> list[Difference]:
-        """What draws that miss a requirement have in common."""
-        return differences(self.columns, self.missed)
+    def in_common(self) -> dict[str, list[Difference]]:
+        """What draws that miss a requirement have in common, by requirement; `all` for those that miss any."""
+        missed = {k: ~np.all(self.good[..., list(MEASURES).index(k)], axis=1) for k in self.required}
+        return {k: differences(self.columns, x) for k, x in {**missed, "all": self.missed}.items()}

@@ -97,7 +97,7 @@ def _quantity(x: Input, y: Array) -> Array:
 def inputs(
     entries: list[Input], correlation: Mapping[tuple[str, str], float], joined: Mapping[str, tuple[str, ...]]
 ) -> Inputs:
-    """Quantities with the correlations between pairs of them; `joined` names groups that are one beside.
+    """Quantities with the correlations between pairs of them; `joined` names quantities that are one group anyhow.
 
     Correlated quantities form groups: linked by |r| ≥ `LOOSE`, directly or by others.
 
@@ -110,6 +110,9 @@ def inputs(
         if one in names and other in names:
             matrix[names.index(one), names.index(other)] = matrix[names.index(other), names.index(one)] = r
     tied = np.abs(matrix) >= LOOSE
+    for members in joined.values():
+        own = [i for i, name in enumerate(names) if name in members]
+        tied[np.ix_(own, own)] = True
     for _ in names:
         tied = (tied.astype(int) @ tied.astype(int)) > 0
     matrix = np.where(tied, matrix, 0.0)
@@ -118,13 +121,12 @@ def inputs(
     except np.linalg.LinAlgError:
         raise InputError("fit: its correlations are those of no distribution; fit again, or leave --fit out") from None
     groups: dict[str, tuple[int, ...]] = {}
-    of = {name: group for group, members in joined.items() for name in members}
-    for i, name in enumerate(names):
+    for i in range(len(names)):
         together = tuple(int(k) for k in np.flatnonzero(tied[i]))
-        if name in of:
-            groups[of[name]] = (*groups.get(of[name], ()), i)
-        elif together[0] == i:
-            groups[" + ".join(names[k] for k in together)] = together
+        if together[0] == i:
+            own = [names[k] for k in together]
+            whole = [group for group, members in joined.items() if len(own) > 1 and set(own) <= set(members)]
+            groups[whole[0] if whole else " + ".join(own)] = together
     return Inputs(tuple(entries), factor, groups)
 
 
