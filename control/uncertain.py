@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -78,8 +79,13 @@ class Inputs:
         """(N,) of every quantity, from ξ (N, d)."""
         if not self.entries:
             return {}
-        found = jax.jit(jax.vmap(self.physical))(jnp.asarray(xi, float))
-        return {name: np.asarray(found[name]) for name in self.names}
+        rows = 2 ** max(0, len(xi) - 1).bit_length()  # few sizes, and so few compilations
+        found = self._many(np.concatenate([xi, np.zeros((rows - len(xi), xi.shape[1]))]))
+        return {name: np.asarray(found[name])[: len(xi)] for name in self.names}
+
+    @cached_property
+    def _many(self) -> Any:
+        return jax.jit(jax.vmap(self.physical))
 
 
 def _quantity(x: Input, y: Array) -> Array:
