@@ -172,5 +172,5 @@ def _where(study: Robust) -> Figure:
     ax.barh(range(len(rows)), [x for _, x in rows], color=MISS, height=0.6)
     ax.set_yticks(range(len(rows)), [_short(k) for k, _ in rows])
     ax.axvline(0, color=INK, lw=0.8)
-    ax.set(xlabel="standard deviations from the centre")
+    ax.set(xlabel="sd from the centre")
     return figure

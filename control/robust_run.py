@@ -33,15 +33,22 @@ def digest(tree: Any) -> str:
 
 
 class Kept:
-    """The folder of a study: what was simulated before by the same study, and what is being simulated.
+    """The folder of a study: what the same study found before, and what is being simulated.
+
+    Args:
+        batch: draws at a time, of a study that begins; one that goes on keeps its own.
+
+    Attributes:
+        batch: draws at a time.
+        finished: every loop, where the study is whole.
 
     Raises:
         InputError: a folder of another study.
     """
 
-    def __init__(self, out: Path, identity: Mapping[str, Any]):
+    def __init__(self, out: Path, identity: Mapping[str, Any], batch: int):
         identity = json.loads(json.dumps(identity))
-        self.finished: Told | None = None
+        self.batch, self.finished = batch, None
         if (out / SAMPLES).exists():
             variables, about = sweep_file.read(out / SAMPLES)
             _same(out / SAMPLES, json.loads(about.get("identity", "{}")), identity)
@@ -51,9 +58,10 @@ class Kept:
         self.unfinished = Unfinished(out / PARTIAL)
         there = self.unfinished.plan()
         if there is not None:
-            _same(self.unfinished.folder, there, identity)
+            _same(self.unfinished.folder, there.get("identity", {}), identity)
+            self.batch = int(there["batch"])
         elif self.finished is None:
-            self.unfinished.begin(identity)
+            self.unfinished.begin({"identity": identity, "batch": batch})
 
 
 def _same(place: Path, there: Mapping[str, Any], here: Mapping[str, Any]) -> None:
@@ -77,7 +85,8 @@ def batch_size(one: OneLoop, draws: int, targets: int, asked: int | None) -> int
 def simulate(
     one: OneLoop, xi: np.ndarray, courses: np.ndarray, size: int, kept: Kept | None, tell: Callable[[int, int], object]
 ) -> tuple[Told, int]:
-    """Every draw (N) at every target (T): results with the axes (N, T), and how many loops were simulated now.
+    """Every draw (N) at every target (T), `size` draws at a time: results with the axes (N, T), and how many loops were
+    simulated now.
 
     A loop whose numbers are not finite has `ok` False, and its own numbers, and leaves the others alone.
     """
@@ -86,7 +95,7 @@ def simulate(
     parts, fresh = [], 0
     for k in range(0, count, size):
         chosen = np.arange(k, min(k + size, count))
-        name = f"{k // size:06d}-{size}"
+        name = f"{k // size:06d}"
         found = None if kept is None else kept.unfinished.get(name)
         if found is None:
             full = np.resize(chosen, size)  # the last batch is filled up with repeats

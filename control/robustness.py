@@ -127,17 +127,17 @@ def robust(
         "seed": seed,
         "precision": precision,
     }
-    kept = None if out is None else Kept(Path(out), _named(identity))
 
     def tell(stage: str) -> Callable[[int, int], object]:
         return lambda done, count: progress(stage, done, count) if progress else None
 
     began = time.perf_counter()
     size = batch_size(one, len(everything), len(spec.targets), batch)
+    kept = None if out is None else Kept(Path(out), _named(identity), size)
     if kept is not None and kept.finished is not None:
         told, fresh = kept.finished, 0
     else:
-        told, fresh = simulate(one, everything, every_course, size, kept, tell("closed loops"))
+        told, fresh = simulate(one, everything, every_course, kept.batch if kept else size, kept, tell("closed loops"))
     seconds = time.perf_counter() - began
     own, rest = (Told(*(x[part] for x in told)) for part in (slice(0, samples), slice(samples, None)))
     found, used = _sensitivity(one, rest, rows, tuple(groups), seed, highest)

@@ -221,15 +221,16 @@ def test_a_killed_study_goes_on_and_finds_the_same(study, tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        simulate(study.one, xi, courses, size, Kept(tmp_path, identity), killed)
-    (tmp_path / "robust.partial" / "000001-half").write_bytes(b"cut")
-    told, fresh = simulate(study.one, xi, courses, size, Kept(tmp_path, identity), lambda *_: None)
+        simulate(study.one, xi, courses, size, Kept(tmp_path, identity, size), killed)
+    (tmp_path / "robust.partial" / "000001.npz").write_bytes(b"cut")
+    assert Kept(tmp_path, identity, 7).batch == size  # that of the study, however much memory is free now
+    told, fresh = simulate(study.one, xi, courses, size, Kept(tmp_path, identity, size), lambda *_: None)
     assert fresh == told.ok.size / 2
     whole, _ = simulate(study.one, xi, courses, size, None, lambda *_: None)
     for a, b in zip(told, whole, strict=True):
         np.testing.assert_array_equal(a, b)
     with pytest.raises(InputError, match="robust.partial: is of another study .it differs in study."):
-        Kept(tmp_path, {"study": 2})
+        Kept(tmp_path, {"study": 2}, size)
 
 
 def test_another_study_into_the_same_folder_is_refused(place, study, capsys):
