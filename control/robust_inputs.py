@@ -10,7 +10,7 @@ from ljjax.control.uncertain import COURSE, LOOSE, Input, Inputs, inputs
 from ljjax.control.vary import Vary
 from ljjax.effect import Effect
 from ljjax.errors import InputError
-from ljjax.model import Model, get, limits, units
+from ljjax.model import Model, get, limits, replace, units
 
 SHAPE = "initial shape"
 
@@ -22,7 +22,6 @@ def uncertain(
     sd: Mapping[str, float],
     correlation: Mapping[tuple[str, str], float],
     priors: Mapping[str, tuple[float, float]],
-    duration_s: float,
 ) -> tuple[Model, Inputs]:
     """The model with the effects that are added, and everything that is drawn.
 
@@ -31,7 +30,7 @@ def uncertain(
     value it has, or vanishes at. What form an effect has is drawn only where that is said.
 
     Raises:
-        InputError: an unknown effect, a push outside the loop.
+        InputError: an unknown effect, a standard deviation of no parameter.
     """
     model = _with(model, [*effects, *(path.split(".")[1] for path in vary.effects)])
     bounds, unit = limits(model), units(model)
@@ -44,6 +43,7 @@ def uncertain(
             path = f"effects.{effect.id}.{name}"
             normal.setdefault(path, (float(getattr(effect, name)), float(effect.fields()[name]["scale"])))
     normal |= vary.effects
+    model = replace(model, {path: mean for path, (mean, s) in normal.items() if s == 0})
     free = (float("-inf"), float("inf"))
     entries = [Input(p, unit[p], "normal", m, s, *bounds.get(p, free)) for p, (m, s) in normal.items() if s > 0]
     for name, ends, of in (
@@ -55,8 +55,6 @@ def uncertain(
     if vary.shape_rad > 0:
         entries += [Input(f"shape.q{i + 1}", "rad", "normal", 0.0, vary.shape_rad) for i in range(model.n)]
     if vary.push_n is not None:
-        if vary.push_at_s[0] >= duration_s:
-            raise InputError(f"vary.push_at_s = {vary.push_at_s[0]:g}: the loop has ended at {duration_s:g} s by then")
         entries += _range("push_n", vary.push_n, "N")
         entries += _range("push_at_s", vary.push_at_s, "s") + _range("push_for_s", vary.push_for_s, "s")
     joined = {f"effects.{e.id}": tuple(f"effects.{e.id}.{name}" for name in e.fields()) for e in model.effects}

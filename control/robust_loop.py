@@ -11,7 +11,7 @@ from jaxtyping import Array
 
 from ljjax import batch
 from ljjax.chain import lateral_jacobian
-from ljjax.control.loop import HOW, Loop, Scenario, depth, run, substeps_of, to_jax
+from ljjax.control.loop import HOW, Loop, Scenario, delays, run, substeps_of, ticks_back, to_jax
 from ljjax.control.measures import Asked, exact, smooth
 from ljjax.control.problem import price
 from ljjax.control.spec import Spec
@@ -59,13 +59,18 @@ class OneLoop:
         d = xi.shape[1]
         rows = np.concatenate([xi, np.full((1, d), 4.0), np.full((1, d), -4.0)])
 
-        def delays(x: Array) -> tuple[Model, Scenario]:
+        def late(x: Array) -> tuple[Array, Array]:
             values = self.given.physical(x)
             robot = self.robot(values)
-            return robot, self.scenario(values, robot, jnp.asarray(0, jnp.uint32), *(jnp.zeros((), x.dtype),) * 2)
+            nothing = jnp.zeros((), x.dtype)
+            return delays(robot, self.scenario(values, robot, jnp.asarray(0, jnp.uint32), nothing, nothing))
 
-        robots, plans = jax.jit(jax.vmap(delays))(jnp.asarray(rows, self.dtype))
-        self.kept = depth(self.law, plans, robots)
+        self.kept = ticks_back(self.law, *jax.jit(jax.vmap(late))(jnp.asarray(rows, self.dtype)))
+
+    def fixed(self, name: str) -> float:
+        """What a quantity of the scenario is where it is not drawn."""
+        ends = getattr(self.vary, name)
+        return getattr(self.spec, name) if ends is None else ends[0]
 
     def robot(self, values: dict[str, Array]) -> Model:
         """With the quantities that are its parameters."""
@@ -78,26 +83,21 @@ class OneLoop:
         """What the robot is put through, with the quantities that are not its parameters."""
         n, row = robot.n, jnp.zeros((self.ticks,), self.dtype)
 
-        def quantity(name: str, fixed: float) -> Array:
-            return values.get(name, jnp.asarray(fixed, self.dtype))
+        def quantity(name: str) -> Array:
+            return values[name] if name in values else jnp.asarray(self.fixed(name), self.dtype)
 
         drawn = jax.random.normal(jax.random.key(course), (self.ticks,), jnp.float32).astype(self.dtype)
-        noise = n * quantity("noise_rad", self.spec.noise_rad) * drawn
-        shape = jnp.stack([quantity(f"shape.q{i + 1}", 0.0) for i in range(n)])
+        noise = n * quantity("noise_rad") * drawn
+        shape = jnp.stack([values.get(f"shape.q{i + 1}", jnp.zeros((), self.dtype)) for i in range(n)])
         torque = jnp.zeros((self.ticks, n), self.dtype)
         if self.vary.push_n is not None:
             lateral = lateral_jacobian(robot.chain, jnp.zeros((n,), self.dtype))
-            begin, lasts = (
-                quantity("push_at_s", self.vary.push_at_s[0]),
-                quantity("push_for_s", self.vary.push_for_s[0]),
-            )
+            begin, lasts = quantity("push_at_s"), quantity("push_for_s")
             t = jnp.arange(self.ticks).astype(self.dtype) * self.period
             on = jnp.clip((t - begin) / self.period + 1, 0, 1) * jnp.clip((begin + lasts - t) / self.period, 0, 1)
-            torque = quantity("push_n", self.vary.push_n[0]) * on[:, None] * lateral[None]
-        late = quantity("compute_ticks", self.spec.compute_ticks) * self.period
-        return Scenario(
-            row + theta, row + stiffness, noise, row, torque, shape, late, quantity("sensor_s", self.spec.sensor_s)
-        )
+            torque = quantity("push_n") * on[:, None] * lateral[None]
+        late = quantity("compute_ticks") * self.period
+        return Scenario(row + theta, row + stiffness, noise, row, torque, shape, late, quantity("sensor_s"))
 
     def loop(self, xi: Array, course: Array, theta: Array, stiffness: Array) -> tuple[Loop, Asked]:
         values = self.given.physical(xi)

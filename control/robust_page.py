@@ -72,7 +72,10 @@ def page_of(study: Robust, software: str) -> str:
         parts += ["</div>"]
     parts += ["<h2>The worst case nearby</h2>", *(f"<p>{escape(x.strip())}</p>" for x in worst_lines(study))]
     parts += ['<div class="grid">', page.figure(_worst(study), "Worst case", "Against the loop at the centre.")]
-    parts += [page.figure(_where(study), "Where it lies", "In standard deviations."), "</div>"]
+    parts += [
+        page.figure(_where(study), "Where it lies", "Each quantity from its centre, in its own standard deviations."),
+        "</div>",
+    ]
     rows = [
         [escape(SHOWN[k][0]), escape(SHOWN[k][1]), *(_value(k, x[k]) for x in (worst.centre_measures, worst.measures))]
         for k in MEASURES
@@ -167,7 +170,7 @@ def _worst(study: Robust) -> Figure:
 
 
 def _where(study: Robust) -> Figure:
-    rows = sorted(zip(study.one.given.names, study.worst.xi, strict=True), key=lambda row: abs(row[1]))[-16:]
+    rows = sorted(study.one.given.away(study.worst.xi).items(), key=lambda row: abs(row[1]))[-16:]
     figure, ax = page.axes(5.6, 0.9 + 0.3 * len(rows))
     ax.barh(range(len(rows)), [x for _, x in rows], color=MISS, height=0.6)
     ax.set_yticks(range(len(rows)), [_short(k) for k, _ in rows])

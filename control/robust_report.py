@@ -266,10 +266,10 @@ def worst_lines(study: Robust) -> list[str]:
     worst, target = study.worst, study.one.spec.targets[study.worst.target]
     missed = [SHOWN[k][0] for k, x in study.required.items() if not worst.measures[k] <= x]
     what = f"misses {', '.join(missed)}" if missed else "meets every requirement"
-    driving = sorted(zip(study.one.given.names, worst.xi, strict=True), key=lambda row: -abs(row[1]))[:4]
+    driving = sorted(study.one.given.away(worst.xi).items(), key=lambda row: -abs(row[1]))[:4]
     return [
         f"Worst case within {worst.radius:.2f} sd, at {math.degrees(target.theta_rad):.3g}° and "
         f"{target.stiffness_n_m:.4g} N/m: cost {number(worst.cost)} (worst sample there {number(worst.begun)}, "
         f"centre {number(worst.centre)}), {worst.away:.2f} sd away; {what}",
-        "  farthest out: " + ", ".join(f"{k} = {number(worst.values[k])} ({x:+.2f})" for k, x in driving),
+        "  farthest out: " + ", ".join(f"{k} = {number(worst.values[k])} ({x:+.2f} sd)" for k, x in driving),
     ]

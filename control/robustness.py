@@ -90,9 +90,13 @@ def robust(
     spec = spec or default(law)
     refuse(spec, law, spec_where)
     vary = spec.vary or usual(spec.noise_rad, spec.compute_ticks, spec.sensor_s, float(law.period_s))
-    model, given = uncertain(
-        astype(model, float), vary, effects, uncertainty or {}, correlation or {}, priors or {}, spec.duration_s
-    )
+    if vary.push_n is not None and vary.push_at_s[1] >= spec.duration_s:
+        raise InputError(
+            f"{spec_where}: vary.push_at_s is up to {vary.push_at_s[1]:g} s, and the loop ends at {spec.duration_s:g} s; "
+            "lower it, or raise loop.duration_s"
+        )
+    given_sd = uncertainty or {}
+    model, given = uncertain(astype(model, float), vary, effects, given_sd, correlation or {}, priors or {})
     noisy = (vary.noise_rad or (spec.noise_rad,))[-1] > 0
     if not given.entries:
         raise InputError(

@@ -70,6 +70,10 @@ class Inputs:
     def names(self) -> tuple[str, ...]:
         return tuple(x.name for x in self.entries)
 
+    def away(self, xi: np.ndarray) -> dict[str, float]:
+        """How far each quantity lies from its centre, in its own standard deviations, for ξ (d,)."""
+        return dict(zip(self.names, (self.factor @ xi).tolist(), strict=True))
+
     def physical(self, xi: Array) -> dict[str, Array]:
         """The quantities by name, from ξ (d,); pure."""
         y = jnp.asarray(self.factor, xi.dtype) @ xi

@@ -141,7 +141,7 @@ def _told(one: OneLoop, xi: np.ndarray, course: int, target: int, radius: float,
 def commands(one: OneLoop, worst: Worst) -> Inputs:
     """What reaches the robot in the worst loop: tensions and vacuum as late as the computation makes them, and the
     push, held from tick to tick."""
-    late = worst.values.get("compute_ticks", one.spec.compute_ticks)
+    late = worst.values.get("compute_ticks", one.fixed("compute_ticks"))
     whole = math.floor(late)
 
     def back(x: np.ndarray, ticks: int) -> np.ndarray:

@@ -264,11 +264,11 @@ def test_quantities_keep_within_their_bounds():
 
 
 def test_impossible_robots_are_drawn_anew(robot, monkeypatch):
-    model, given = uncertain(robot(), Vary(), (), {"friction.mu_s": 1e-3}, {}, {}, 1.0)
+    model, given = uncertain(robot(), Vary(), (), {"friction.mu_s": 1e-3}, {}, {})
     xi, redrawn = draw(model, given, 200, np.random.default_rng(0), 40.0)
     assert redrawn > 20 and given.columns(xi)["friction.mu_s"].min() >= 0.0025
     monkeypatch.setattr(uncertain_module, "TRIES", 2)
-    model, given = uncertain(robot(), Vary(), (), {"jamming.c4": 1e9}, {}, {}, 1.0)
+    model, given = uncertain(robot(), Vary(), (), {"jamming.c4": 1e9}, {}, {})
     with pytest.raises(InputError, match="lower the standard deviations"):
         draw(model, given, 64, np.random.default_rng(0), 40.0)
 
@@ -280,17 +280,23 @@ def test_effects_have_their_priors_and_pushes_their_time(robot):
         push_for_s=(0.05, 0.05),
         effects={"effects.base_tilt.tilt_rad": (0.1, 0.2)},
     )
-    model, given = uncertain(robot(), vary, ["tip_payload"], {}, {}, {"effects.tip_payload.mass_kg": (0.2, 0.1)}, 1.0)
+    model, given = uncertain(robot(), vary, ["tip_payload"], {}, {}, {"effects.tip_payload.mass_kg": (0.2, 0.1)})
     assert [e.id for e in model.effects] == ["base_tilt", "tip_payload"]
     own = {x.name: (x.a, x.b) for x in given.entries}
     assert own["effects.base_tilt.tilt_rad"] == (0.1, 0.2) and own["effects.tip_payload.mass_kg"] == (0.2, 0.1)
-    assert "effects.tip_payload.aside_kg_m" in own
+    assert "effects.tip_payload.aside_kg_m" in own and {"effects.tip_payload"} <= set(given.groups)
+    vary = replace(
+        vary, noise_rad=(3e-4, 3e-4), compute_ticks=(2.0, 2.0), effects={"effects.base_tilt.tilt_rad": (0.1, 0.0)}
+    )
+    model, given = uncertain(model, vary, [], {}, {}, {})
+    assert not given.entries and float(get(model, "effects.base_tilt.tilt_rad")) == 0.1
     made = design(robot(), "integral", hardware=Hardware(theta_max_rad=0.25))
     one = OneLoop(made.law, model, Spec((Target(0.1, 5000.0),), duration_s=0.4), vary, given, float)
     plan = one.scenario({}, model, jnp.asarray(1, jnp.uint32), jnp.asarray(0.1), jnp.asarray(5000.0))
     pushed = np.flatnonzero((np.abs(plan.torque) > 1e-9).any(axis=1)) * one.period
     assert (pushed.min(), pushed.max()) == pytest.approx((0.1, 0.145))
-    assert float(jnp.std(plan.noise)) == pytest.approx(2 * 1e-4, rel=0.3)
+    assert float(jnp.std(plan.noise)) == pytest.approx(2 * 3e-4, rel=0.3)
+    assert float(plan.compute_s) == pytest.approx(2 * one.period) and float(plan.sensor_s) == 0
 
 
 def test_a_fit_gives_standard_deviations_and_correlations(tmp_path):
@@ -381,7 +387,11 @@ BAD = [
     ("compute_ticks = [0.5, 1.5]", "compute_ticks = [1.5, 0.5]", "vary.compute_ticks is [1.5, 0.5]: must be between"),
     ("compute_ticks = [0.5, 1.5]", "delay_s = 1", "unknown key vary.delay_s; expected noise_rad"),
     ("compute_ticks = [0.5, 1.5]", "push_at_s = 0.1", "vary.push_at_s without a push; give vary.push_n"),
-    ("compute_ticks = [0.5, 1.5]", "push_n = 1\npush_at_s = 3", "vary.push_at_s = 3: the loop has ended at 0.4 s"),
+    (
+        "compute_ticks = [0.5, 1.5]",
+        "push_n = 1\npush_at_s = 3",
+        "spec.toml: vary.push_at_s is up to 3 s, and the loop ends at 0.4 s",
+    ),
     ("shape_rad = 0.003", "shape_rad = -1", "vary.shape_rad = -1: must be between 0 and 0.5 rad"),
     ("shape_rad = 0.003", "effects.wind.force = [0, 1]", "vary.effects.wind: no such effect"),
     ("shape_rad = 0.003", "effects.base_tilt.tilt_rad = [9, 1]", "vary.effects.base_tilt.tilt_rad is [9, 1]"),
