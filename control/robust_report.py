@@ -119,6 +119,7 @@ def as_dict(study: Robust, about: dict[str, Any], replay_error_rad: float) -> di
             "sensitivity": {
                 "rows": study.sobol_rows[0],
                 "rows_asked": study.sobol_rows[1],
+                "failed_loops": int(np.sum(~study.sobol_told.ok)),
                 "of": "the worst target's smooth measure, and what the loop costs",
                 "indices": {k: {g: x._asdict() for g, x in row.items()} for k, row in study.sensitivity.items()},
             },

@@ -92,7 +92,7 @@ def robust(
     vary = spec.vary or usual(spec.noise_rad, spec.compute_ticks, spec.sensor_s, float(law.period_s))
     if vary.push_n is not None and vary.push_at_s[1] >= spec.duration_s:
         raise InputError(
-            f"{spec_where}: vary.push_at_s is up to {vary.push_at_s[1]:g} s, and the loop ends at {spec.duration_s:g} s; "
+            f"{spec_where}: vary.push_at_s is up to {vary.push_at_s[1]:g} s, the loop ends at {spec.duration_s:g} s; "
             "lower it, or raise loop.duration_s"
         )
     given_sd = uncertainty or {}

@@ -390,7 +390,7 @@ BAD = [
     (
         "compute_ticks = [0.5, 1.5]",
         "push_n = 1\npush_at_s = 3",
-        "spec.toml: vary.push_at_s is up to 3 s, and the loop ends at 0.4 s",
+        "spec.toml: vary.push_at_s is up to 3 s, the loop ends at 0.4 s",
     ),
     ("shape_rad = 0.003", "shape_rad = -1", "vary.shape_rad = -1: must be between 0 and 0.5 rad"),
     ("shape_rad = 0.003", "effects.wind.force = [0, 1]", "vary.effects.wind: no such effect"),
