@@ -129,7 +129,7 @@ def differences(columns: Mapping[str, np.ndarray], failing: np.ndarray) -> list[
             if spread > 0:
                 means = float(y[failing].mean()), float(y[~failing].mean())
                 found.append(Difference(name, away, (means[0] - means[1]) / spread, *means))
-        best = max(found, key=lambda f: abs(f.size), default=None)
+        best = max(found, key=lambda f: abs(f.size) * (1.0 if f.away else 1.5), default=None)  # plainer first
         if best is not None and abs(best.size) > least:
             out.append(best)
     return sorted(out, key=lambda f: -abs(f.size))
