@@ -140,11 +140,16 @@ def to_jax(law: Law, dtype: Any = float) -> Law:
 
 def depth(law: Law, given: Scenario, model: Model) -> int:
     """How many ticks the delays of a scenario and a model's effects reach back; what `run` must keep."""
-    longest = max(float(np.max(np.asarray(x, float))) for x in _delays(model, given))
+    return ticks_back(law, *delays(model, given))
+
+
+def ticks_back(law: Law, *late: Any) -> int:
+    """How many ticks delays [s], arrays of any shape, reach back."""
+    longest = max(float(np.max(np.asarray(x, float))) for x in late)
     return max(2, math.ceil(longest / float(law.period_s)) + 2)
 
 
-def _delays(model: Model, given: Scenario) -> tuple[Array, Array]:
+def delays(model: Model, given: Scenario) -> tuple[Array, Array]:
     """Of the tensions and of the measurement [s]."""
     act, sense = given.compute_s, given.sensor_s
     for effect in model.effects:
@@ -188,7 +193,7 @@ def run(law: Law, model: Model, given: Scenario, *, kept: int, substeps: int, ho
     n, period = model.n, law.period_s
     c = constants(model)
     zero = jnp.zeros_like(period)
-    late, latency = (x / period for x in _delays(model, given))
+    late, latency = (x / period for x in delays(model, given))
     shape = tuple(given.shape[i] for i in range(n))
     h = period / substeps
     apart = Drive(zero, zero, zero, t=zero)

@@ -6,7 +6,7 @@ the right way even where the plain measure does not move (a loop that never sett
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -65,21 +65,29 @@ def _largest(x: Array, width: float) -> Array:
     return jnp.sum(jax.nn.softmax(x / width) * x)
 
 
-def plain(loop: Loop, asked: Asked, spec: Spec, period: float) -> dict[str, float]:
-    """The measures of one loop as defined, by name; a loop that never settles has a settling time of infinity."""
-    theta = np.asarray(loop.theta)
-    wanted = float(asked.theta)
+def exact(xp: Any, loop: Loop, asked: Asked, spec: Spec, period: Any) -> Any:
+    """(m,) the measures as defined, of one loop, in the arithmetic of `xp` (NumPy or jax.numpy); a loop that never
+    settles has a settling time of infinity."""
+    theta, wanted = loop.theta, asked.theta
     error = theta - wanted
-    outside = np.flatnonzero(np.abs(error) > spec.band * abs(wanted))
-    settling = 0.0 if not len(outside) else (outside[-1] + 1) * period
-    tensions = np.stack([np.asarray(loop.left), np.asarray(loop.right)])
-    values = (
-        settling if settling < len(theta) * period - 1e-12 else np.inf,
-        max(0.0, float(np.max(error * np.sign(wanted))) / abs(wanted)),
-        float(np.sqrt(np.mean(error[_last(loop, spec) :] ** 2))),
-        float(np.sqrt(np.mean(tensions**2))),
-        float(np.max(tensions)),
-        float(np.sqrt(np.mean((np.diff(tensions, axis=1) / period) ** 2))),
-        abs(float(asked.felt) / float(asked.stiffness) - 1),
+    tick = xp.arange(1, theta.shape[0] + 1).astype(theta.dtype)
+    settling = period * xp.max(xp.where(xp.abs(error) > spec.band * xp.abs(wanted), tick, 0.0 * tick))
+    tensions = xp.stack([loop.left, loop.right])
+    beyond = xp.max(error * xp.sign(wanted)) / xp.abs(wanted)
+    return xp.stack(
+        [
+            xp.where(settling < theta.shape[0] * period - 1e-3 * period, settling, xp.inf),
+            xp.where(beyond > 0, beyond, 0.0 * xp.abs(beyond)),
+            xp.sqrt(xp.mean(error[_last(loop, spec) :] ** 2)),
+            xp.sqrt(xp.mean(tensions**2)),
+            xp.max(tensions),
+            xp.sqrt(xp.mean(((tensions[:, 1:] - tensions[:, :-1]) / period) ** 2)),
+            xp.abs(asked.felt / asked.stiffness - 1.0),
+        ]
     )
-    return dict(zip(MEASURES, map(float, values), strict=True))
+
+
+def plain(loop: Loop, asked: Asked, spec: Spec, period: float) -> dict[str, float]:
+    """`exact`, by name."""
+    loop, asked = jax.tree.map(np.asarray, (loop, asked))
+    return dict(zip(MEASURES, exact(np, loop, asked, spec, period).tolist(), strict=True))

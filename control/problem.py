@@ -23,11 +23,10 @@ from ljjax.control.loop import HOW, Loop, Scenario, depth, run, substeps_of
 from ljjax.control.measures import Asked, plain, smooth
 from ljjax.control.robots import stack
 from ljjax.control.spec import MEASURES, Spec
-from ljjax.control.statics import LONG_S, Hardware, Statics, statics, tip_stiffness
+from ljjax.control.statics import Hardware, Statics, felt, statics
 from ljjax.control.synthesis import Design, assemble
 from ljjax.law.parts import Gains, Kind, Law
 from ljjax.model import Model
-from ljjax.step import Drive, settled
 
 FAILED = 1000.0
 """Cost of a loop with numbers that are not finite."""
@@ -43,13 +42,9 @@ class Count:
     gradients: int = 0
 
 
-def cost(measures: Array, ok: Array, spec: Spec) -> Array:
-    """The loss of loops with measures (T, S, m) over targets and robots: the mean over robots of what each costs (the
-    mean over targets), plus the weighted mean over the worst share of robots (CVaR).
-
-    A measure x of limit l costs w[x/l + 4·max(x/l − 1, 0)], the corner rounded: less is always better, and far more so
-    beyond the limit.
-    """
+def price(measures: Array, spec: Spec) -> Array:
+    """(…) what loops with measures (…, m) cost: a measure x of limit l costs w[x/l + 4·max(x/l − 1, 0)], the corner
+    rounded. Less is always better, and far more so beyond the limit."""
 
     def row(values: list[float]) -> Array:
         return jnp.broadcast_to(jnp.asarray(values, measures.dtype), measures.shape)
@@ -58,7 +53,13 @@ def cost(measures: Array, ok: Array, spec: Spec) -> Array:
     weight = row([spec.require[k].weight if k in spec.require else 0.0 for k in MEASURES])
     share = measures / limit
     beyond = 0.05 * jax.nn.softplus((share - 1) / 0.05)
-    each = jnp.sum(jnp.where(weight > 0, weight * (share + STEEPER * beyond), 0.0), axis=-1)
+    return jnp.sum(jnp.where(weight > 0, weight * (share + STEEPER * beyond), 0.0), axis=-1)
+
+
+def cost(measures: Array, ok: Array, spec: Spec) -> Array:
+    """The loss of loops with measures (T, S, m) over targets and robots: the mean over robots of what each costs (the
+    mean over targets), plus the weighted mean over the worst share of robots (CVaR)."""
+    each = price(measures, spec)
     robots = jnp.mean(jnp.where(ok, each, FAILED), axis=0)
     worst = jnp.sort(robots)[-max(1, math.ceil(spec.cvar_share * robots.shape[0] - 1e-9)) :]
     return jnp.mean(robots) + spec.cvar_weight * jnp.mean(worst)
@@ -195,10 +196,7 @@ class _One:
         plan = self.scenario(theta, stiffness, noise)
         loop = run(law, robot, plan, kept=self.kept, substeps=self.substeps, how=how)
         level = self.hardware.co_contraction_n
-        straight = (jnp.zeros_like(theta),) * robot.n
-        alpha2, phi = settled(robot, straight, Drive(level, level, loop.vacuum[-1]), LONG_S)
-        joint = jnp.stack(alpha2) + robot.friction.sigma0 * jnp.stack(phi)
-        return loop, Asked(theta, stiffness, tip_stiffness(robot, joint[None], gains.gamma)[0])
+        return loop, Asked(theta, stiffness, felt(robot, level, loop.vacuum[-1], gains.gamma))
 
     def told(self, *arguments: Any) -> tuple[Loop, Asked, Array, Array]:
         loop, asked = self.loop(*arguments)

@@ -10,6 +10,8 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from ljjax.control.entries import number, only, table
+from ljjax.control.vary import Vary, read
 from ljjax.errors import InputError
 from ljjax.law.parts import Command, Law
 from ljjax.law.reach import refuse_beyond
@@ -60,6 +62,7 @@ class Spec:
         sensor_s: delay of the sensor [s].
         cvar_share: the worst share of the robots, whose mean cost is the CVaR.
         cvar_weight: what the CVaR counts in the loss, beside the mean.
+        vary: what else differs from loop to loop in a robustness study; None for `vary.usual`. Not for tuning.
     """
 
     targets: tuple[Target, ...]
@@ -72,6 +75,7 @@ class Spec:
     sensor_s: float = 0.0
     cvar_share: float = 0.2
     cvar_weight: float = 0.5
+    vary: Vary | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON and TOML have it."""
@@ -120,19 +124,21 @@ def load(path: str | os.PathLike[str]) -> Spec:
         raise InputError(f"{where}: not TOML: {error}") from None
     if data.get("schema") != SCHEMA:
         raise InputError(f'{where}: schema is {data.get("schema")!r}; expected schema = "{SCHEMA}"')
-    _only(where, "", data, ("schema", "targets", "loop", "robots", "require"))
+    only(where, "", data, ("schema", "targets", "loop", "robots", "require", "vary"))
     given: dict[str, Any] = {}
-    for table, known in (("loop", _LOOP), ("robots", _ROBOTS)):
-        entries = _table(where, table, data.get(table, {}))
-        _only(where, table, entries, known)
-        given |= {name: _number(where, f"{table}.{name}", value) for name, value in entries.items()}
-    for table, known in (("loop", _LOOP), ("robots", _ROBOTS)):
+    for part, known in (("loop", _LOOP), ("robots", _ROBOTS)):
+        entries = table(where, part, data.get(part, {}))
+        only(where, part, entries, known)
+        given |= {name: number(where, f"{part}.{name}", value) for name, value in entries.items()}
+    for part, known in (("loop", _LOOP), ("robots", _ROBOTS)):
         for name in set(known) & set(given):
             low, high, said = _RANGES[name]
             if not low <= given[name] <= high:
-                raise InputError(f"{where}: {table}.{name} = {given[name]:g}: must be {said}")
+                raise InputError(f"{where}: {part}.{name} = {given[name]:g}: must be {said}")
     if "require" in data:
-        given["require"] = _require(where, _table(where, "require", data["require"]))
+        given["require"] = _require(where, table(where, "require", data["require"]))
+    if "vary" in data:
+        given["vary"] = read(where, data["vary"])
     return Spec(_targets(where, data.get("targets")), **given)
 
 
@@ -145,12 +151,12 @@ def _targets(where: str, given: Any) -> tuple[Target, ...]:
     out = []
     for i, entries in enumerate(given):
         place = f"targets[{i}]"
-        entries = _table(where, place, entries)
-        _only(where, place, entries, names)
+        entries = table(where, place, entries)
+        only(where, place, entries, names)
         for name in names:
             if name not in entries:
                 raise InputError(f"{where}: missing key {place}.{name}")
-        target = Target(**{name: _number(where, f"{place}.{name}", entries[name]) for name in names})
+        target = Target(**{name: number(where, f"{place}.{name}", entries[name]) for name in names})
         if abs(target.theta_rad) < 1e-3:
             raise InputError(
                 f"{where}: {place}.theta_rad = {target.theta_rad:g}: loops begin at 0, where there is nothing to tune; "
@@ -161,15 +167,15 @@ def _targets(where: str, given: Any) -> tuple[Target, ...]:
 
 
 def _require(where: str, given: dict[str, Any]) -> dict[str, Requirement]:
-    _only(where, "require", given, MEASURES)
+    only(where, "require", given, MEASURES)
     out = {}
     for name, entries in given.items():
         place = f"require.{name}"
-        entries = _table(where, place, entries)
-        _only(where, place, entries, ("limit", "weight"))
+        entries = table(where, place, entries)
+        only(where, place, entries, ("limit", "weight"))
         usual = MEASURES[name][2]
-        limit = _number(where, f"{place}.limit", entries.get("limit", usual.limit))
-        weight = _number(where, f"{place}.weight", entries.get("weight", usual.weight))
+        limit = number(where, f"{place}.limit", entries.get("limit", usual.limit))
+        weight = number(where, f"{place}.weight", entries.get("weight", usual.weight))
         if not limit > 0:
             raise InputError(f"{where}: {place}.limit = {limit:g}: must be > 0 {MEASURES[name][0]}")
         if weight < 0:
@@ -194,22 +200,3 @@ def refuse(spec: Spec, law: Law, where: str) -> None:
             f"{where}: loop.rest_share = {spec.rest_share:g} of {spec.duration_s:g} s is less than two periods of the "
             "law; raise it, or loop.duration_s"
         )
-
-
-def _table(where: str, key: str, value: Any) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise InputError(f"{where}: {key} is {value!r}; expected a table")
-    return value
-
-
-def _only(where: str, table: str, entries: Mapping[str, Any], known: Any) -> None:
-    for key in entries:
-        if key not in known:
-            full = f"{table}.{key}" if table else key
-            raise InputError(f"{where}: unknown key {full}; expected {', '.join(known)}")
-
-
-def _number(where: str, key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < math.inf:
-        raise InputError(f"{where}: {key} is {value!r}; expected a finite number")
-    return float(value)

@@ -85,6 +85,14 @@ def tip_stiffness(model: Model, joint: Array, gamma: Any) -> Array:
     return 1 / (lateral - gamma * common**2 / (1 + gamma * jnp.sum(give, axis=1)))
 
 
+def felt(robot: Model, level: Array, vacuum: Array, gamma: Any) -> Array:
+    """K_T [N/m] of a robot, unbent, under `level` [N] in both tendons and a vacuum [kPa] held for long."""
+    straight = (jnp.zeros_like(vacuum),) * robot.n
+    alpha2, phi = step.settled(robot, straight, step.Drive(level, level, vacuum), LONG_S)
+    joint = jnp.stack(alpha2) + robot.friction.sigma0 * jnp.stack(phi)
+    return tip_stiffness(robot, joint[None], gamma)[0]
+
+
 def falls(stiffness: Any) -> Any:
     """(V − 1,) whether the stiffness (V,) does not rise to the next vacuum."""
     return stiffness[1:] - stiffness[:-1] <= LEAST_RISE * stiffness[:-1]

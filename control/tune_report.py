@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable
 from dataclasses import asdict
 from html import escape
 from pathlib import Path
@@ -20,6 +19,7 @@ from rich.table import Table
 from ljjax import page
 from ljjax.control.files import provenance, texts
 from ljjax.control.spec import MEASURES
+from ljjax.control.telling import SHOWN, finite
 from ljjax.control.tuning import Side, Tuned
 from ljjax.law.parts import KINDS, UNITS
 from ljjax.outputs import artefacts
@@ -27,16 +27,6 @@ from ljjax.page import ACCENT, INK, MUTED, number
 
 PathLike = str | os.PathLike[str]
 SCHEMA = "ljjax.tune/1"
-_SHOWN: dict[str, tuple[str, str, Callable[[float], float]]] = {
-    "settling_s": ("settling time", "s", float),
-    "overshoot": ("overshoot", "%", lambda x: 100 * x),
-    "steady_error_rad": ("steady error", "°", math.degrees),
-    "effort_n": ("effort, RMS tension", "N", float),
-    "tension_n": ("largest tension", "N", float),
-    "slew_n_s": ("RMS rate of the tensions", "N/s", float),
-    "stiffness_error": ("stiffness error", "%", lambda x: 100 * x),
-}
-"""Measures for people: name, unit, and the value in it."""
 
 
 def save(tuned: Tuned, out: PathLike, *, model_path: PathLike | None = None, keep: tuple[PathLike, ...] = ()) -> None:
@@ -85,7 +75,7 @@ def as_dict(tuned: Tuned, model_path: PathLike | None = None) -> dict[str, Any]:
             "met_unseen": met(tuned, x, unseen=True) if x.unseen_measures else None,
         }
 
-    return _finite(
+    return finite(
         {
             "schema": SCHEMA,
             "provenance": provenance(model_path),
@@ -103,16 +93,8 @@ def as_dict(tuned: Tuned, model_path: PathLike | None = None) -> dict[str, Any]:
     )
 
 
-def _finite(x: Any) -> Any:
-    if isinstance(x, dict):
-        return {k: _finite(v) for k, v in x.items()}
-    if isinstance(x, list | tuple):
-        return [_finite(v) for v in x]
-    return None if isinstance(x, float) and not math.isfinite(x) else x
-
-
 def _value(name: str, x: float) -> str:
-    return "never" if name == "settling_s" and not math.isfinite(x) else number(_SHOWN[name][2](x))
+    return "never" if name == "settling_s" and not math.isfinite(x) else number(SHOWN[name][2](x))
 
 
 def _rows(tuned: Tuned) -> list[tuple[list[str], bool]]:
@@ -121,7 +103,7 @@ def _rows(tuned: Tuned) -> list[tuple[list[str], bool]]:
     for name, need in tuned.spec.require.items():
         if need.weight <= 0:
             continue
-        cells = [_SHOWN[name][0], _SHOWN[name][1], _value(name, need.limit)]
+        cells = [SHOWN[name][0], SHOWN[name][1], _value(name, need.limit)]
         for side in (tuned.before, tuned.after):
             cells += [_value(name, x) for x in summary(side, name)]
         share = met(tuned, tuned.after, name)

@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 LEAST, MOST = 32, 512
 """Elements a tile: fewer waste the time in which operations start, more leave the cache."""
@@ -28,8 +29,8 @@ def over(function: Callable[..., Any], threads: int | None = None) -> Callable[.
     """`jax.vmap(function)` over the leading axis of all arguments, computed in tiles on several threads.
 
     The results are those of `jax.jit(jax.vmap(function))`; an element that fails (NaN) leaves the others alone. One
-    program is compiled a width of tile; the last tile is filled up with its last element. For use outside jit; on
-    other devices than processors it is one `vmap`.
+    program is compiled a width of tile; the last tile is filled up with its last element. For use outside jit. On
+    other devices than processors it is one `vmap`; where there are several devices each takes a share of the elements.
 
     Args:
         function: of one element's arguments, pytrees of arrays; pure.
@@ -40,6 +41,8 @@ def over(function: Callable[..., Any], threads: int | None = None) -> Callable[.
     compiled: set[int] = set()
 
     def run(*arguments: Any) -> Any:
+        if jax.device_count() > 1:
+            return _shared(program, arguments)
         if jax.default_backend() != "cpu":
             return program(*arguments)
         arrays = jax.tree.map(np.asarray, arguments)  # without a copy; slices of NumPy's are views
@@ -62,3 +65,18 @@ def over(function: Callable[..., Any], threads: int | None = None) -> Callable[.
         return jax.tree.map(lambda *x: jnp.concatenate(x)[:size], *parts)
 
     return run
+
+
+def _shared(program: Callable[..., Any], arguments: Any) -> Any:
+    """A batched program with its elements laid out over all devices; filled up with the last one where they do not
+    come out even."""
+    devices = jax.devices()
+    size = jax.tree.leaves(arguments)[0].shape[0]
+    more = -size % len(devices)
+    layout = NamedSharding(Mesh(np.array(devices), ("elements",)), PartitionSpec("elements"))
+
+    def laid(x: Any) -> jax.Array:
+        x = np.asarray(x)
+        return jax.device_put(np.concatenate([x, np.repeat(x[-1:], more, axis=0)]) if more else x, layout)
+
+    return jax.tree.map(lambda x: x[:size], program(*jax.tree.map(laid, arguments)))

@@ -111,7 +111,7 @@ def shapes(columns: Mapping[str, np.ndarray], base: np.ndarray, count: int) -> n
 
 def inadmissible(model: Model, columns: Mapping[str, np.ndarray], count: int, pressures: Sequence[float]) -> list[str]:
     """For each parameter set, why it is impossible within the pressures [kPa]; empty where it is possible."""
-    copy = jax.tree.map(lambda leaf: leaf, model)  # changed in place below: far faster than a new model each
+    copy = jax.tree.map(np.asarray, model)  # changed in place below: far faster than a new model each
     own = [(getattr(copy, path.split(".")[0]), path.split(".")[1], x) for path, x in columns.items() if path in UNITS]
     reasons = []
     for i in range(count):
@@ -119,7 +119,7 @@ def inadmissible(model: Model, columns: Mapping[str, np.ndarray], count: int, pr
             (f"{path} = {x[i]:g}: must be a finite number" for path, x in columns.items() if not np.isfinite(x[i])), ""
         )
         for table, name, x in own:
-            object.__setattr__(table, name, jnp.asarray(x[i]))
+            object.__setattr__(table, name, x[i])
         try:
             check(copy, (min(pressures), max(pressures)), where="")
         except InputError as error:
@@ -182,12 +182,12 @@ def batch_size(count: int, cases: Sequence[Case], n: int, errors: bool) -> int:
     steps = max((c.steps for c in cases), default=1)
     stamps = max((len(c.stamps) for c in cases), default=1)
     an_element = 8 * (12 * n * steps * (2 if errors else 1) + 16 * n * stamps)
-    most = int(max(1, min(LARGEST_BATCH, _free_bytes() / 4 // an_element)))
+    most = int(max(1, min(LARGEST_BATCH, free_bytes() / 4 // an_element)))
     batches = -(-count // most)
     return max(1, -(-count // batches))
 
 
-def _free_bytes() -> float:
+def free_bytes() -> float:
     """Memory to count on: the accelerator's, or what the system calls available; 2 GiB where nobody says."""
     said = jax.devices()[0].memory_stats() if jax.default_backend() != "cpu" else None
     if said and "bytes_limit" in said:

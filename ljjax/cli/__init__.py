@@ -22,6 +22,7 @@ COMMANDS = {
     "simulate": "replay a log's commands through a model",
     "sweep": "simulate over ranges of parameters",
     "tune": "tune a robot's control law through the simulated closed loop",
+    "robust": "how robust a law is: thousands of closed loops on robots as they may turn out",
     "export": "write a robot's control law as one file for the rig",
     "info": "what logs hold, and whether they meet the contract",
 }

@@ -367,11 +367,11 @@ def test_progress_counts_the_elements(model):
 def test_a_batch_fits_the_memory(model, monkeypatch):
     case = sweep_run.case(bend(), "inputs", 6, "commands", None, 1e-4)
     for free, most in ((2.0**40, 1024), (1e9, 40), (1.0, 1)):
-        monkeypatch.setattr(sweep_run, "_free_bytes", lambda free=free: free)
+        monkeypatch.setattr(sweep_run, "free_bytes", lambda free=free: free)
         size = sweep_run.batch_size(5000, [case], 6, True)
         assert 1 <= size <= most
         monkeypatch.undo()
-    monkeypatch.setattr(sweep_run, "_free_bytes", lambda: 2.0**40)
+    monkeypatch.setattr(sweep_run, "free_bytes", lambda: 2.0**40)
     assert sweep_run.batch_size(1100, [case], 6, True) == 550  # two equal batches, not 1024 and a rest
 
 
