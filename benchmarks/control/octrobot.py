@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from ljjax import modelfile
 from ljjax.data import OCTROBOT
-from ljjax.effects import REGISTRY
+from ljjax.effects import StiffnessSaturation
 from ljjax.fit import fit
 from ljjax.logs import read_all
 from ljjax.model import Chain, Elastic, Gravity, Jamming, Model, get, replace
@@ -52,7 +52,7 @@ def saturating() -> Model:
     c4, c5 = np.linalg.lstsq(columns, probe["stiffness_mean_n_per_m"] / PER_JOINT - alpha2(found, at), rcond=None)[0]
     nominal = modelfile.load(OCTROBOT / "nominal.toml").model
     zero, (a, b, knee) = jnp.asarray(0.0), (jnp.asarray(x) for x in found)
-    effect = REGISTRY["stiffness_saturation"](rise=b, knee_kpa=knee)
+    effect = StiffnessSaturation(rise=b, knee_kpa=knee)
     jamming = Jamming(jnp.asarray(c4), jnp.asarray(c5))
     return Model(nominal.chain, Gravity(zero), Elastic(zero, zero, a), jamming, nominal.friction, effects=(effect,))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,8 +19,8 @@ COLUMN_KPA = {0.1: 0.0, 2.0: 10.0, 4.0: 20.0, 6.0: 30.0, 8.0: 40.0}
 """The vacuum at which Table III takes α₂, by γ [N]: that of the column's place, not the row's own."""
 
 
-def alpha2_paper(u: np.ndarray) -> np.ndarray:
-    """α₂ [N/deg] as the paper finds it: least squares on the steady tensions, without α₁."""
+def alpha2_paper(u: Any) -> Any:
+    """α₂ [N/deg] at vacuums u [kPa] as the paper finds it: least squares on the steady tensions, without α₁."""
     t = table("identification")
     p, theta = t["pressure_kpa"], t["theta_deg"]
     columns = np.stack([p**2 * theta, p * theta, theta], axis=1)
