@@ -162,8 +162,8 @@ def accuracy(size: Size, out: Path, say: Callable[[str], None]) -> list[Row]:
         above = int(np.sum(shares[best] > 0.2))
         note = (
             f"median over robots, best: {best}; median errors {every}; RMS of the second before {SECONDS:g} s (before "
-            f"{EARLY_S:g} s {early:.2g}: our laws still creep); {above} robots above 1/5, {failed} loops failed; law from "
-            f"{whose}; K_T of the unbent robot at z = 0 under the vacuum commanded is off by "
+            f"{EARLY_S:g} s {early:.2g}; all creep on under the noise); {above} robots above 1/5, {failed} loops failed"
+            f"; law from {whose}; K_T of the unbent robot at z = 0 under the vacuum commanded is off by "
             f"{100 * np.median(stiff):.2g} % (median), {100 * np.quantile(stiff, 0.95):.2g} % (95th percentile)"
         )
         if known:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -76,7 +77,7 @@ def speed(size: Size, out: Path, say: Callable[[str], None]) -> list[Row]:
     note = (
         f"speed ÷ one C thread's, both in {name}, observer; {size.loops} loops of {size.loop_s:g} s at "
         f"{1 / law.period_s:g} Hz timed in place of {ASKED:,}, in turns; float64 {rows['float64']:.2f}, float32 "
-        f"{rows['float32']:.2f}; JAX on all cores, as it comes; C by hand around the exported header, -O3 "
+        f"{rows['float32']:.2f}; JAX on {os.cpu_count()} cores, as it comes; C by hand around the exported header, -O3 "
         f"-march=native -ffast-math; angles in C and JAX differ by {apart:.0e} rad (double, without -ffast-math)"
     )
     met = value >= 0.3 and apart <= ALIKE_RAD
