@@ -51,7 +51,9 @@ def released(model: Model, mu_s: jax.Array, vacuum: jax.Array) -> tuple[jax.Arra
         drive = Drive(left, zero, vacuum * jnp.clip(t - 2.0, 0.0, 1.0), t=t)
         return advance(model, c, state, drive, STEP_S, How(3, loops=True)), jnp.stack(state.q)
 
-    _, q = jax.lax.scan(onward, at_rest(model, (zero,) * model.n, still), STEP_S * jnp.arange(round(END_S / STEP_S)))
+    _, q = jax.lax.scan(
+        onward, at_rest(model, (zero,) * model.n, still), STEP_S * jnp.arange(round(END_S / STEP_S), dtype=float)
+    )
     before, after = q[round(RELEASE_S / STEP_S)], q[-1]
     way = tip_pose(model.chain, after)[:2] - tip_pose(model.chain, before)[:2]
     return 1e3 * jnp.linalg.norm(way), jnp.degrees(jnp.mean(before))

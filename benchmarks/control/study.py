@@ -58,7 +58,13 @@ def show(rows: list[Row], console: Console) -> None:
     table = Table("what", "value", "goal", "met", "cases", show_lines=True)
     for row in rows:
         met = "" if row.met is None else "yes" if row.met else "NO"
-        table.add_row(f"{row.name}\n[dim]{row.note}[/]", f"{row.value:.3g} {row.unit}", row.goal, met, f"{row.cases:,}")
+        table.add_row(
+            f"{row.name}\n[dim]{row.note}[/]",
+            f"{row.value:.3g} {row.unit}".removesuffix(" 1"),
+            row.goal,
+            met,
+            f"{row.cases:,}",
+        )
     console.print(table)
 
 

@@ -14,44 +14,33 @@ from benchmarks.control.stiffness import reproduced
 from benchmarks.control.study import main, parts
 
 FIELDS = {"name", "value", "unit", "goal", "met", "cases", "note", "beside"}
-PICTURES = {"regulation", "stiffness", "locking", "accuracy", "tuning"}
+CHEAP = ("stiffness", "locking", "same")
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("study")
-    main(["--quick", "--out", str(out)])
+    main(["--quick", "--out", str(out), *CHEAP])
     return out
 
 
-def test_every_part_has_its_rows(folder):
+def test_parts_leave_their_rows_and_pictures(folder):
     record = json.loads((folder / "study.json").read_text(encoding="utf-8"))
     assert record["schema"] == "ljjax.control_study/1" and record["quick"] is True
     rows = record["rows"]
     assert all(set(row) == FIELDS and math.isfinite(row["value"]) and row["cases"] > 0 for row in rows)
     names = [row["name"] for row in rows]
-    expected = [
-        "Table II",
-        "Table III: p",
-        "Table III in",
-        "closed-loop K_T",
-        "shape locking",
-        "steady error",
-        "steady",
-    ]
-    expected += ["tuning", "tuning", "10,000 closed loops", "the law in JAX", "the law exported", "the law exported"]
+    expected = ["Table III: p", "Table III in", "closed-loop K_T", "shape locking"]
+    expected += ["the law in JAX", "the law exported, C in double", "the law exported, C in float"]
     assert len(names) == len(expected)
     assert all(name.startswith(start) for name, start in zip(names, expected, strict=True))
-    assert {p.stem for p in folder.glob("*.png")} == PICTURES
+    assert {p.stem for p in folder.glob("*.png")} == {"stiffness", "locking"}
 
 
-def test_what_does_not_depend_on_the_size_is_met(folder):
-    rows = {row["name"][:12]: row for row in json.loads((folder / "study.json").read_text(encoding="utf-8"))["rows"]}
-    published = rows["Table III: p"]
-    assert (published["value"], published["met"]) == (50, True)
-    assert rows["Table II: sc"]["value"] == 15 and rows["shape lockin"]["met"]
-    assert rows["the law in J"]["met"] and rows["the law expo"]["met"]
-    assert rows["10,000 close"]["beside"]["apart_rad"] < 1e-9
+def test_what_was_asked_of_them_is_met(folder):
+    rows = json.loads((folder / "study.json").read_text(encoding="utf-8"))["rows"]
+    assert (rows[0]["value"], rows[0]["met"]) == (50, True)
+    assert all(row["met"] for row in rows if row["goal"])
 
 
 def test_the_published_ratios_are_those_of_the_wrong_column():
