@@ -4,10 +4,10 @@ PYTHON ?= python3
 BIN := .venv/bin
 OCTROBOT := ljjax/data/octrobot
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check data recovery blind bench clean
+.PHONY: help setup demo test check data recovery blind control-study bench clean
 
 help: ## what this file can do
-	@sed -n 's/^\([a-z]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
 
 .venv/.ready: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -42,6 +42,9 @@ recovery: .venv/.ready ## identify 40 simulated robots and compare with the trut
 
 blind: .venv/.ready ## diagnose robots whose effect is sealed, and score the answers; writes out/blind/
 	$(BIN)/python -m benchmarks.blind.study --cases 40
+
+control-study: .venv/.ready ## the control room's claims and the paper's experiments, measured; writes out/control/
+	$(BIN)/python -m benchmarks.control.study
 
 .venv/.bench: .venv/.ready
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test,bench]"

@@ -5,7 +5,9 @@
    Compile with -DREAL=double -DW=4, or -DREAL=float -DW=8 (32-byte registers). */
 #include <math.h>
 
+#ifndef N
 #define N 6
+#endif
 typedef REAL vec __attribute__((vector_size(W * sizeof(REAL))));
 #ifdef SINGLE
 typedef int whole;
@@ -132,31 +134,36 @@ static inline void inertia_and_coriolis(frozen *f, const state *now, REAL h) {
   }
 }
 
+/* The state a step later, under a tension difference and a vacuum. */
+static inline void advance(state *now, const vec *p, vec u, vec line, REAL h, int iterations) {
+  const REAL gamma = (REAL)(1 - 0.70710678118654752440), more = (1 - gamma) / gamma;
+  vec vacuum = pick(line > 0, line, all(0));
+  frozen f = {.p = p, .s = gamma * h};
+  f.alpha2 = (p[C1] * line + p[C2]) * line + p[C3];
+  f.phi = p[C4] + p[C5] * vacuum / vsqrt(vacuum + (REAL)1e-4);
+  for (int i = 0; i < N; i++) f.load[i] = p[LEVER] * u;
+  inertia_and_coriolis(&f, now, h);
+  state half = stage(&f, now, now->v, iterations), base;
+  vec guess[N];
+  for (int i = 0; i < N; i++) {
+    base.q[i] = now->q[i] + more * (half.q[i] - now->q[i]);
+    base.v[i] = now->v[i] + more * (half.v[i] - now->v[i]);
+    base.z[i] = now->z[i] + more * (half.z[i] - now->z[i]);
+    guess[i] = now->v[i] + (half.v[i] - now->v[i]) / gamma;
+    guess[i] = pick(guess[i] * half.v[i] < 0, half.v[i], guess[i]);
+  }
+  *now = stage(&f, &base, guess, iterations);
+}
+
 /* `blocks` blocks of W robots from rest at q = 0: parameters (blocks, COUNT, W), first z (blocks, N, W), drives
    (blocks, steps, 2, W), q after every `every` steps into path (blocks, steps / every, N, W). */
 void simulate(int blocks, int steps, int every, int iterations, double h, const vec *parameters, const vec *first,
               const vec *drive, vec *path) {
-  const REAL gamma = (REAL)(1 - 0.70710678118654752440), more = (1 - gamma) / gamma;
   for (int b = 0; b < blocks; b++, parameters += COUNT, first += N) {
     state now;
     for (int i = 0; i < N; i++) { now.q[i] = now.v[i] = all(0); now.z[i] = first[i]; }
     for (int step = 1; step <= steps; step++, drive += 2) {
-      const vec *p = parameters, u = drive[0], vacuum = pick(drive[1] > 0, drive[1], all(0));
-      frozen f = {.p = p, .s = gamma * (REAL)h};
-      f.alpha2 = (p[C1] * drive[1] + p[C2]) * drive[1] + p[C3];
-      f.phi = p[C4] + p[C5] * vacuum / vsqrt(vacuum + (REAL)1e-4);
-      for (int i = 0; i < N; i++) f.load[i] = p[LEVER] * u;
-      inertia_and_coriolis(&f, &now, (REAL)h);
-      state half = stage(&f, &now, now.v, iterations), base;
-      vec guess[N];
-      for (int i = 0; i < N; i++) {
-        base.q[i] = now.q[i] + more * (half.q[i] - now.q[i]);
-        base.v[i] = now.v[i] + more * (half.v[i] - now.v[i]);
-        base.z[i] = now.z[i] + more * (half.z[i] - now.z[i]);
-        guess[i] = now.v[i] + (half.v[i] - now.v[i]) / gamma;
-        guess[i] = pick(guess[i] * half.v[i] < 0, half.v[i], guess[i]);
-      }
-      now = stage(&f, &base, guess, iterations);
+      advance(&now, parameters, drive[0], drive[1], (REAL)h, iterations);
       if (step % every == 0)
         for (int i = 0; i < N; i++) *path++ = now.q[i];
     }

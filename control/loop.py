@@ -101,17 +101,36 @@ def scenario(
 ) -> Scenario:
     """A plain scenario: commands (a number or one a tick), white noise of a standard deviation on the segment angle.
 
+    Args:
+        theta, stiffness: [rad, N/m], in reach.
+        duration_s: rounded to whole ticks.
+        noise_rad: standard deviation [rad]; `seed` is the noise's.
+        shape: angles of the joints to begin with, a number or one a joint [rad].
+        compute_ticks: from a measurement to its command's effect, in periods of the law.
+        sensor_s: delay of the measurement [s].
+
     Raises:
-        InputError: a duration of less than a tick; commands out of the law's reach (a `Scenario` made by hand may hold
-            them: the law cuts them to its limits).
+        InputError: a duration of less than a tick; numbers that are not finite, delays or noise below 0, sequences of
+            another length; commands out of the law's reach (a `Scenario` made by hand may hold them: the law cuts them
+            to its limits).
     """
     period, n = float(law.period_s), int(law.robot.segments)
+    amounts = {"duration_s": duration_s, "noise_rad": noise_rad, "compute_ticks": compute_ticks, "sensor_s": sensor_s}
+    for name, x in amounts.items():
+        if not (np.ndim(x) == 0 and 0 <= x < math.inf):
+            raise InputError(f"scenario: {name} = {x}: expected a number from 0 on")
+    count = round(duration_s / period)
+    if count < 1:
+        raise InputError(f"scenario: duration_s = {duration_s:g}: expected a period of the law or more, {period:g} s")
+    rows = {"theta": (theta, count, "tick"), "stiffness": (stiffness, count, "tick"), "shape": (shape, n, "joint")}
+    for name, (x, size, of) in rows.items():
+        if np.shape(x) not in ((), (size,)):
+            raise InputError(f"scenario: {name} has the shape {np.shape(x)}; expected a number or {size}, one a {of}")
+        if not np.isfinite(np.asarray(x, float)).all():
+            raise InputError(f"scenario: {name} holds a number that is not finite")
     for angle in (np.min(theta), np.max(theta)):
         for k in (np.min(stiffness), np.max(stiffness)):
             refuse_beyond(law, Command(float(angle), float(k)), "scenario")
-    count = round(duration_s / period)
-    if count < 1:
-        raise InputError(f"duration_s = {duration_s:g}: expected at least one period of the law, {period:g} s")
     noise = n * noise_rad * np.random.default_rng(seed).standard_normal(count)
 
     def row(x: Any, *size: int) -> Array:

@@ -23,6 +23,9 @@ from ljjax.law.step import step
 
 FLOOR = 0.1
 """Errors are relative to a value, or to this share of its column's largest where it is smaller than that."""
+STRICT = ("-std=c99", "-pedantic", "-O2")
+FUSED = ("-std=gnu99", "-O3", "-march=native", "-ffp-contract=fast")
+"""GCC's own dialect, in which it contracts multiply-adds to one rounding where the processor can."""
 _S, _M, _C, _O = (len(kind._fields) for kind in (State, Measured, Command, Output))
 
 _DRIVER = """
@@ -95,9 +98,9 @@ def by_jax(law: Law, ticks: np.ndarray) -> np.ndarray:
     return np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(ticks)))
 
 
-def by_c(law: Law, ticks: np.ndarray, real: str = "double") -> np.ndarray:
-    """(count, 10) the same by the C header, compiled here by `cc` (or $CC) as strict C99 with warnings as errors; the
-    state given and outputs of −1 where its step refuses.
+def by_c(law: Law, ticks: np.ndarray, real: str = "double", flags: tuple[str, ...] = STRICT) -> np.ndarray:
+    """(count, 10) the same by the C header, compiled here by `cc` (or $CC) with warnings as errors, as strict C99 where
+    no other flags are given; the state given and outputs of −1 where its step refuses.
 
     Raises:
         InputError: no compiler.
@@ -119,9 +122,8 @@ def by_c(law: Law, ticks: np.ndarray, real: str = "double") -> np.ndarray:
         home = Path(folder)
         (home / "law.h").write_text(header(law), encoding="ascii")
         (home / "main.c").write_text(_DRIVER % words, encoding="ascii")
-        strict = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O2"]
         more = ["-DLJJAX_FLOAT"] if real == "float" else []
-        line = [compiler, *strict, *more, "main.c", "-o", "law", "-lm"]
+        line = [compiler, *flags, "-Wall", "-Wextra", "-Werror", *more, "main.c", "-o", "law", "-lm"]
         done = subprocess.run(line, cwd=home, capture_output=True, text=True)
         if done.returncode:
             raise InputError(f"{' '.join(line)}: {done.stderr.strip()[:400]}")

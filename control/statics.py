@@ -11,13 +11,14 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from ljjax import step
 from ljjax.chain import lateral_jacobian, mass_matrix
 from ljjax.control import jax_ops
 from ljjax.law.step import root_of, vacuum_of
-from ljjax.model import Model
+from ljjax.model import Model, replace
 
 ENTRIES = 65
 """Entries of each of the law's tables."""
@@ -101,3 +102,24 @@ def falls(stiffness: Any) -> Any:
 def start_of_rise(stiffness: Array) -> Array:
     """The entry from which the stiffness (V,) rises up to the last: commands are found in that part."""
     return jnp.max(jnp.where(falls(stiffness), jnp.arange(1, len(stiffness)), 0))
+
+
+def uncounted(model: Model, at_rest: Statics, vacuum_max_kpa: Array, tension: Array) -> list[str]:
+    """The ids of a model's effects that change nothing in its statics, and so nothing in a law made from them: what
+    loads the body or remembers, delays, sensors. Effects at the values at which they vanish are none.
+
+    Args:
+        at_rest: `statics(model, vacuum_max_kpa, tension)`.
+    """
+    out = []
+    for effect in model.effects:
+        about = effect.fields()
+        sizes = [name for name in effect.sizes() if float(getattr(effect, name)) != about[name]["null"]]
+        if not sizes:
+            continue
+        without = replace(model, {f"effects.{effect.id}.{name}": about[name]["null"] for name in sizes})
+        other = statics(without, vacuum_max_kpa, tension)
+        pairs = (at_rest.alpha2, other.alpha2), (at_rest.phi, other.phi)
+        if all(np.array_equal(a, b) for a, b in pairs):
+            out.append(effect.id)
+    return out

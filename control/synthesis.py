@@ -19,7 +19,7 @@ from jaxtyping import Array
 from ljjax.control import jax_ops
 from ljjax.control.refusals import UNIQUE, largest_angle, plausible, positive, rising, routh, sampled, unique
 from ljjax.control.sampled import most_damping
-from ljjax.control.statics import ENTRIES, Hardware, Statics, start_of_rise, statics, tip_stiffness
+from ljjax.control.statics import ENTRIES, Hardware, Statics, start_of_rise, statics, tip_stiffness, uncounted
 from ljjax.errors import InputError
 from ljjax.law import ops
 from ljjax.law.file import possible
@@ -74,7 +74,8 @@ _built, _gains = eqx.filter_jit(build), eqx.filter_jit(default_gains)
 
 
 class Design(NamedTuple):
-    """A law of Python floats, and what it reaches (`reach`, as in law.json)."""
+    """A law of Python floats, and what it reaches (`reach`, as in law.json): stiffness, vacuum, angle, how near γ is to
+    where the equilibrium is not the only one, and which of the model's effects are in none of this."""
 
     law: Law
     reach: dict[str, Any]
@@ -147,6 +148,7 @@ def design(
             "vacuum_kpa": [vacuum_of(ops, law.tables.root[0]), limits.vacuum_max_kpa],
             "theta_rad": [-theta_max, theta_max],
             "uniqueness": {"n_gamma_over_alpha2": ratio, "below": UNIQUE},
+            "effects_not_counted": uncounted(model, at_rest, numbers.vacuum_max_kpa, numbers.co_contraction_n),
         },
     )
 

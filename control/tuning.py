@@ -119,7 +119,7 @@ def tune(
     robots = sample(model, spread, samples, seed=seed, vacuum_max_kpa=highest)
     problem = Problem(made, model, hardware, spec, robots, seed=seed, free=free)
 
-    history, coordinates, points = _descend(problem, restarts, iterations, seed, progress)
+    history, coordinates, points = descend(problem, restarts, iterations, seed, progress)
     best, made = _best(problem, model, made, hardware, history, points)
     search = replace(problem.count)
     other = None
@@ -140,7 +140,7 @@ def tune(
     return Tuned(made, spec, before, after, history, coordinates, best, search, count, options)
 
 
-def _descend(
+def descend(
     problem: Problem, restarts: int, iterations: int, seed: int, progress: Callable[[str, int, int], None] | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Losses (I, R), coordinates and gains (I, R, k) on the way of Adam, projected into the box."""

@@ -6,6 +6,7 @@ Exit 0: done. Exit 2: bad input or usage, one line on stderr. Exit 1: a fault of
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import importlib
 import io
 import os
@@ -139,6 +140,10 @@ def _gathered(name: str, command: Callable, args: Sequence[str]) -> list[str]:
     import tyro
 
     hints = get_type_hints(command, include_extras=True)
+    for hint in list(hints.values()):  # a group's flags are the command's own
+        group = get_args(hint)[0] if get_origin(hint) is Annotated else hint
+        if dataclasses.is_dataclass(group):
+            hints |= get_type_hints(group, include_extras=True)
     groups: dict[str | int, list[str]] = {"": []}
     words = groups[""]
     for arg in args:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from ljjax.cli.limits import DEFAULTS, Flags
 from ljjax.errors import InputError
 
 
@@ -22,14 +22,7 @@ def command(
     restarts: int = 2,
     iterations: int = 30,
     seed: int = 0,
-    rate_hz: float = 200.0,
-    theta_max_deg: Annotated[float | None, tyro.conf.arg(metavar="DEG")] = None,
-    tension_min_n: float = 0.5,
-    tension_max_n: float = 60.0,
-    co_contraction_n: float = 2.0,
-    tension_slew_n_s: float = 400.0,
-    vacuum_max_kpa: float = 40.0,
-    vacuum_slew_kpa_s: float = 50.0,
+    limits: Flags = DEFAULTS,
 ) -> None:
     """Tune a control law's gains to a specification; writes law.json, tune.json and report.html.
 
@@ -48,21 +41,13 @@ def command(
         restarts: How many starting points to try, side by side.
         iterations: Steps of the descent, from every starting point.
         seed: Seed of robots, noise and starting points.
-        rate_hz: Rate of the loop, in Hz.
-        theta_max_deg: Largest segment angle to command, in degrees; by default as far as the tensions reach.
-        tension_min_n: Least tension of a tendon, in N.
-        tension_max_n: Largest tension of a tendon, in N.
-        co_contraction_n: Mean tension of the two tendons where the net tension allows, in N.
-        tension_slew_n_s: How fast a tension may change, in N/s.
-        vacuum_max_kpa: Highest vacuum, in kPa below atmosphere.
-        vacuum_slew_kpa_s: How fast the vacuum may change, in kPa/s.
     """
     from ljjax.cli import progress, start_jax
     from ljjax.cli.export import read_gains
 
     start_jax()
     from ljjax import modelfile
-    from ljjax.control import Hardware, tune
+    from ljjax.control import tune
     from ljjax.control.spec import load
     from ljjax.control.tune_report import save, show
 
@@ -71,8 +56,6 @@ def command(
             raise InputError(f"--{name} {value}: expected a whole number from {least} on")
     if seed < 0:
         raise InputError(f"--seed {seed}: expected a whole number from 0 on")
-    theta_max = None if theta_max_deg is None else math.radians(theta_max_deg)
-    limits = tension_min_n, tension_max_n, co_contraction_n, tension_slew_n_s, vacuum_max_kpa, vacuum_slew_kpa_s
     loaded = modelfile.load(model)
     wanted = None if spec is None else load(spec)
     with progress() as tell:
@@ -80,9 +63,9 @@ def command(
             loaded.model,
             law,
             wanted,
-            gains=read_gains(gain),
+            gains=read_gains(gain, law),
             free=free or None,
-            hardware=Hardware(*limits, rate_hz, theta_max),
+            hardware=limits.hardware(),
             uncertainty=loaded.uncertainty,
             samples=samples,
             seed=seed,

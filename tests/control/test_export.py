@@ -15,7 +15,7 @@ from ljjax import law
 from ljjax.cli import main
 from ljjax.control import export, parity
 from ljjax.control.c99 import header
-from ljjax.control.runtimes import by_c, by_jax, by_python, errors, random_ticks
+from ljjax.control.runtimes import FUSED, by_c, by_jax, by_python, errors, random_ticks
 from ljjax.errors import InputError
 from ljjax.law.file import content, dumps, load, parse, sha256
 from ljjax.law.golden import COLUMNS, record
@@ -44,6 +44,15 @@ def test_a_law_comes_back_from_its_file_number_for_number(designs, tmp_path, kin
 def test_python_jax_and_c_are_the_same_law(designs, kind):
     found = parity(designs[kind].law, 3000)
     assert found.jax <= 1e-12 and found.c_double <= 1e-12 and found.c_float <= 1e-5, found
+
+
+@pytest.mark.parametrize("kind", LAWS)
+def test_contracted_multiply_adds_change_the_last_digits_alone(designs, kind):
+    given = designs[kind].law
+    ticks = random_ticks(given, 3000)
+    expected = by_python(given, ticks)
+    for real, most in (("double", 1e-13), ("float", 1e-5)):
+        assert errors(by_c(given, ticks, real, FUSED), expected).max() <= most
 
 
 @pytest.mark.parametrize("kind", LAWS)
@@ -180,6 +189,10 @@ def test_the_command_writes_a_law_and_its_header(model_file, tmp_path, capsys):
 REFUSED = [
     (["--gain", "gamma"], "--gain gamma: expected NAME=VALUE"),
     (["--gain", "gamma=99"], "choose gamma <"),
+    (["--gain", "gamma=1", "gamma=2"], "--gain gamma=2: gamma is given twice"),
+    (["--gain", "compensation=0.5"], "--gain compensation=0.5: integral uses no such gain; its gains are gamma, damp"),
+    (["--gain", "gama=1"], "--gain gama=1: integral uses no such gain"),
+    (["--rate-hz", "100", "--rate-hz", "200"], "--rate-hz is given twice"),
     (["--vacuum-max-kpa", "90"], "give α₂ = -"),
     (["--law", "magic"], "magic"),
     (["--header", "OUT"], "the law and its header go to the same file"),
@@ -196,6 +209,55 @@ def test_the_command_refuses_in_a_line_and_writes_nothing(model_file, tmp_path, 
     errors_said = capsys.readouterr().err
     assert said in errors_said and errors_said.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_export_writes_both_files_or_none(designs, tmp_path, monkeypatch):
+    """Whatever fails: the old ones stay, and nothing lies beside them."""
+    made = designs["integral"]
+    out, c = tmp_path / "law.json", tmp_path / "law.h"
+    out.write_text("old")
+    whole = Path.write_text
+
+    def full(self, text, **how):
+        if self.name.startswith(".law.h"):
+            whole(self, text[:100], **how)
+            raise OSError(28, "No space left on device")
+        return whole(self, text, **how)
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(InputError, match="law.h: cannot be written"):
+        export(made, out, header_out=c)
+    assert [p.name for p in tmp_path.iterdir()] == ["law.json"] and out.read_text() == "old"
+
+
+def test_export_knows_one_file_under_two_names_and_a_model_that_is_not_there(designs, tmp_path):
+    made = designs["integral"]
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "link.h").symlink_to(tmp_path / "law.json")
+    for same in (tmp_path / "sub" / ".." / "law.json", tmp_path / "link.h"):
+        with pytest.raises(InputError, match="go to the same file"):
+            export(made, tmp_path / "law.json", header_out=same)
+    with pytest.raises(InputError, match="none.toml: cannot be read"):
+        export(made, tmp_path / "law.json", model_path=tmp_path / "none.toml")
+    assert not (tmp_path / "law.json").exists()
+
+
+def test_what_the_law_does_not_count_is_said(robot, tmp_path, capsys):
+    effects = {
+        "friction_saturation": {"rise": 3.0},
+        "tip_payload": {"mass_kg": 0.1},
+        "viscoelastic_creep": {"stiffness": 0.0, "slower": 0.0},
+        "actuator_delay": {"delay_seconds": 0.01},
+    }
+    path = tmp_path / "model.toml"
+    path.write_text(dump_model(ModelFile(robot(effects=effects))), encoding="utf-8")
+    assert main(["export", str(path), "--out", str(tmp_path / "law.json")]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert (
+        "the law does not count what changes neither α₂ nor φ of the robot at rest: actuator_delay, tip_payload" in said
+    )
+    reach = json.loads((tmp_path / "law.json").read_text(encoding="utf-8"))["reach"]
+    assert reach["effects_not_counted"] == ["actuator_delay", "tip_payload"]
 
 
 def test_the_header_uses_only_the_numbers_that_its_law_needs(designs):

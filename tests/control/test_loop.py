@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -203,10 +204,42 @@ def test_commands_out_of_reach_and_laws_of_other_robots_are_refused(designs, rob
     made = designs["integral"]
     with pytest.raises(InputError, match="scenario: theta = 0.5 rad"):
         scenario(made.law, [0.1, 0.5], _middle(made), 0.01)
-    with pytest.raises(InputError, match="duration_s = 0.001"):
-        scenario(made.law, 0.1, _middle(made), 0.001)
     with pytest.raises(InputError, match="the law is for 2 segments, the model has 3"):
         simulate(made.law, robot(3), scenario(made.law, 0.1, _middle(made), 0.1))
+
+
+NOTHING = {
+    "a duration below a tick": ({"duration_s": 0.001}, "scenario: duration_s = 0.001: expected a period of the law"),
+    "no duration": ({"duration_s": float("nan")}, "scenario: duration_s = nan: expected a number from 0 on"),
+    "no end": ({"duration_s": float("inf")}, "scenario: duration_s = inf: expected a number from 0 on"),
+    "a command before its measurement": ({"compute_ticks": -1.0}, "scenario: compute_ticks = -1.0: expected a number"),
+    "a sensor that sees ahead": ({"sensor_s": -0.01}, "scenario: sensor_s = -0.01: expected a number from 0 on"),
+    "noise that is none": ({"noise_rad": float("nan")}, "scenario: noise_rad = nan: expected a number from 0 on"),
+    "angles for other ticks": (
+        {"theta": [0.1, 0.1, 0.1]},
+        "scenario: theta has the shape (3,); expected a number or 4",
+    ),
+    "one stiffness a row": (
+        {"stiffness": [[1e4]] * 4},
+        "scenario: stiffness has the shape (4, 1); expected a number or",
+    ),
+    "angles of other joints": (
+        {"shape": [0.1]},
+        "scenario: shape has the shape (1,); expected a number or 2, one a jo",
+    ),
+    "an angle that is none": ({"theta": [0.1, float("nan"), 0.1, 0.1]}, "scenario: theta holds a number that is not"),
+    "a shape without end": ({"shape": float("inf")}, "scenario: shape holds a number that is not finite"),
+}
+
+
+@pytest.mark.parametrize("case", NOTHING)
+def test_a_scenario_that_is_none_is_refused_in_a_line(designs, case):
+    made = designs["integral"]
+    more, said = NOTHING[case]
+    given: Any = {"theta": 0.1, "stiffness": _middle(made), "duration_s": 0.02} | more
+    with pytest.raises(InputError) as error:
+        scenario(made.law, **given)
+    assert str(error.value).startswith(said) and "\n" not in str(error.value)
 
 
 def test_a_slow_law_gets_more_solver_steps(designs):

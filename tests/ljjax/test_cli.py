@@ -293,7 +293,13 @@ def test_help(args: list[str], capsys: pytest.CaptureFixture[str]):
     said = capsys.readouterr()
     assert said.err == "" and "Traceback" not in said.out
     own = {"fit": ["--held-out"], "gap": ["--without"], "simulate": ["--inputs"], "sweep": ["--vary"], "info": ["LOG"]}
-    own |= {"export": ["--law", "--gain"], "tune": ["--spec", "--samples"], "robust": ["--fit", "--sobol"]}
+    rig = [
+        "--rate-hz FLOAT",
+        "--theta-max-deg DEG",
+        "--tension-max-n FLOAT",
+        "How fast the vacuum may change, in kPa/s",
+    ]
+    own |= {"export": ["--law", "--gain", *rig], "tune": ["--spec", "--samples", *rig], "robust": ["--fit", "--sobol"]}
     for word in COMMANDS if len(args) < 2 else own[args[0]]:
         assert word in said.out
 
