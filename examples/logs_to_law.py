@@ -125,7 +125,7 @@ def run(logs: list[str], given: str | None, out: Path, quick: bool) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description="From logs to a law on the rig.")
     parser.add_argument("logs", nargs="*")
     parser.add_argument("--model")
     parser.add_argument("--out", type=Path, default=Path("out/logs_to_law"))
