@@ -101,12 +101,21 @@ def _first_change(input_t, tendons, vacuum, t) -> float:
     return min(float(t[0]) + 1.0, float(input_t[changed[0]]) if len(changed) else np.inf)
 
 
+KEPT, WITHIN = 2.0, 0.8796
+"""Differences up to so many standard deviations are kept, and the standard deviation of a normal number so cut."""
+
+
 def white_noise(y: np.ndarray) -> np.ndarray:
-    """(c,) standard deviation of the white part of each column, from the median second difference."""
-    if len(y) < 5:
+    """(c,) standard deviation of the white part of each column: that of the third differences, in which motion hardly
+    shows, without the large ones, in which it does. Rounded values spoil it less than they do a median."""
+    if len(y) < 6:
         return np.zeros(y.shape[1])
-    second = np.abs(y[2:] - 2 * y[1:-1] + y[:-2])
-    return np.median(second, axis=0) / (0.6745 * np.sqrt(6))
+    third = np.abs(np.diff(y, 3, axis=0))
+    sd = np.median(third, axis=0) / 0.6745
+    for _ in range(20):
+        near = third <= KEPT * sd
+        sd = np.sqrt(np.sum(np.where(near, third, 0.0) ** 2, axis=0) / np.maximum(near.sum(axis=0), 1)) / WITHIN
+    return sd / np.sqrt(20)
 
 
 @dataclass(frozen=True, eq=False)

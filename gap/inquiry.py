@@ -293,7 +293,8 @@ class Inquiry:
         chance = judge.chance(self.null, max(self.gained.values(), default=0.0), self.one)
         count = len(self.setting.study.names)
         worse = (self.given.total - self.base.total) / max(self._variance(self.base), 1e-12)
-        as_given = worse < count + 4 * np.sqrt(2 * count) or self.given.total < 1.01 * self.base.total
+        matters = judge.MATTERS * self.floor
+        as_given = worse < count + 4 * np.sqrt(2 * count) or self.given.total < self.base.total + matters
         unseen = {i: self.leaves_unseen(r) for i, r in found.single.items()}
         excess = self.excess / max(self.floor, 1e-9)
         return judge.Evidence(excess, left, size, self.unit, chance, bool(as_given), unseen, self._flexible())

@@ -38,6 +38,8 @@ NONE = 8.0
 MATTERS, OPEN = 0.02, 0.21
 """A gap below this share of the noise's variance is none; above the second one, a tenth in RMS, it is one that chance
 does not make, whether or not a candidate explains any of it."""
+ASIDE = 0.03
+"""Of no effect's probability, the share of the less likely of `no_gap` and `parameters_only`; chosen by hand."""
 FLOOR = 0.04
 """Relative standard deviation that the noise's variance is taken to have; chosen by hand."""
 ALIKE = 1.25
@@ -80,7 +82,8 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
     none = max(none, 0.97) if small else none
     if e.excess > OPEN:
         out["unlisted_effect"], none = none, 0.0
-    out["no_gap" if e.as_given else "parameters_only"] = none
+    right, other = ("no_gap", "parameters_only") if e.as_given else ("parameters_only", "no_gap")
+    out[right], out[other] = (1 - ASIDE) * none, ASIDE * none
     blur = 0.004 + 8 * e.unit
     weight = {
         i: by.simpler ** -e.parameters[i] * (max(left, 0.0) + blur + 2 * e.unit * e.parameters[i]) ** -by.sharpness

@@ -305,6 +305,9 @@ def test_noise_and_its_colour_are_measured():
     rng = np.random.default_rng(0)
     trend = np.sin(np.linspace(0, 20, 5000))[:, None]
     assert white_noise(trend + 0.01 * rng.normal(size=(5000, 1)))[0] == pytest.approx(0.01, rel=0.1)
+    fast = 0.05 * np.sin(np.linspace(0, 300, 5000))[:, None]
+    rounded = 0.01 * np.round((fast + 0.0195 * rng.normal(size=(5000, 1))) / 0.01)
+    assert white_noise(rounded)[0] == pytest.approx(np.hypot(0.0195, 0.01 / np.sqrt(12)), rel=0.03)
     white = rng.normal(size=5000)
     assert bandwidth(white) <= 4
     slow = np.zeros(5000)
