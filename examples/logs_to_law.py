@@ -44,6 +44,18 @@ stiffness_n_m = {stiffness:.4g}
 [loop]
 duration_s = {seconds}
 noise_rad = 3e-4
+[require.settling_s]
+limit = 1.0
+weight = 1.0
+[require.overshoot]
+limit = 0.05
+weight = 1.0
+[require.steady_error_rad]
+limit = 0.001
+weight = 1.0
+[require.stiffness_error]
+limit = 0.02
+weight = 0.1
 """
 
 
