@@ -128,7 +128,8 @@ def _loop(task: Task, robot: Robot, config: Config, log: Log, clock: Clock, vent
         if trouble := log.trouble():
             watch.latch("log", trouble, now)
 
-        if state == WAIT and not (lacking := watch.lacking()):
+        lacking = watch.lacking()
+        if state == WAIT and not lacking:
             gate.start(seen.vacuum)
             state, sent, start = RAMP_IN, gate.sent, now + safety.ramp_s
         elif state == WAIT and now - start > safety.first_s:

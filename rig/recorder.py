@@ -80,6 +80,11 @@ class Recorder:
         """The logging process."""
         return self._process.pid
 
+    @property
+    def synced(self) -> float:
+        """All that was handed over before this time [s, `time.monotonic`] is on the disk."""
+        return self._ring.synced
+
     def tick(self, tick: Tick) -> None:
         """Hand over a tick; some microseconds, never waits."""
         text = ""
@@ -96,7 +101,7 @@ class Recorder:
             return f"{self.path}: the logging process has gone (exit {code})"
         if self._ring.lost:
             return f"{self.path}: {self._ring.lost} ticks found no room; the logging process is too slow"
-        waiting = time.monotonic() - self._ring.synced
+        waiting = time.monotonic() - self.synced
         if waiting > self._most_s:
             return f"{self.path}: nothing has reached the disk for {waiting:.2g} s; take a faster one"
         return ""
