@@ -21,6 +21,7 @@ from typing import Any
 from ljjax.logs import Writer
 from ljjax.rig.loop import STATES
 from ljjax.rig.ring import DONE, FAILED, RUNNING, Ring, Row
+from ljjax.rig.robot import Reading
 
 SYNC_S, LOOK_S, SAY_S = 0.2, 0.02, 0.1
 """How often the file is put on the disk, the ring is read, and the loop's state is written [s]."""
@@ -103,9 +104,8 @@ class Rows:
             self._sample("shape", r.t_shape, now, list(r.joints) or [r.theta])
         self._sample("pressure", r.t_pressure, now, [self._p_atm - 1e3 * r.vacuum_kpa])
         self._sample("tendons", r.t_tendons, now, tendons)
-        self._sample("temperature", r.t_tendons, now, [r.temperature_c])
         self._sample("probe", r.t_tendons, now, [r.probe_m, r.probe_n])
-        self._diagnostics(x, row.text, now)
+        self._diagnostics(x, r, row.text, now)
 
     def _sample(self, signal_name: str, t: float, now: int, value: list[float]) -> None:
         if t == self._last.get(signal_name) or not all(map(math.isfinite, (t, *value))):
@@ -113,13 +113,15 @@ class Rows:
         self._last[signal_name] = t
         self._writer.write(signal_name, self._ns(t), value, log_ns=now, publish_ns=now)
 
-    def _diagnostics(self, x: dict[str, float], text: str, now: int) -> None:
+    def _diagnostics(self, x: dict[str, float], r: Reading, text: str, now: int) -> None:
         self._worst = {name: max(worst, x[name]) for name, worst in self._worst.items()}
         if not text and x["state"] == self._state and x["t"] - self._said < SAY_S:
             return
         state = STATES[int(x["state"])]
         values = {f"{name.removesuffix('_s')}_ms": f"{1e3 * worst:.3f}" for name, worst in self._worst.items()}
         values |= {"missed": str(int(x["missed"])), "rejected": str(int(x["rejected"]))}
+        motors = {"left_ma": r.left_ma, "right_ma": r.right_ma, "temperature_c": r.temperature_c}
+        values |= {name: f"{value:.1f}" for name, value in motors.items() if math.isfinite(value)}
         statuses = [(WARN if state == "safe" else OK, "loop", state, values)]
         if text:
             statuses.append((ERROR, "fault", text, {}))

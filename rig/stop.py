@@ -20,8 +20,8 @@ LOOK_S = 0.02
 class Stop:
     """Says who wants the robot stopped, as a context manager; once said, it stays so.
 
-    While it is open, Ctrl-C and SIGTERM stop the robot instead of this process. Enter counts where the input is a
-    terminal.
+    While it is open, Ctrl-C, SIGTERM and SIGHUP stop the robot instead of this process; a second Ctrl-C does not wait
+    for the tensions to fall. Enter counts where the input is a terminal.
     """
 
     def __init__(self, safety: Safety):
@@ -55,11 +55,13 @@ class Stop:
         return ""
 
     def _signal(self, number: int, frame: FrameType | None) -> None:
+        if self._who and number == signal.SIGINT:
+            raise KeyboardInterrupt
         self._who = self._who or ("Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name)
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
                 self._before[number] = signal.signal(number, self._signal)
         return self
 

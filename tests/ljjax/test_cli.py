@@ -293,7 +293,7 @@ def test_help(args: list[str], capsys: pytest.CaptureFixture[str]):
     said = capsys.readouterr()
     assert said.err == "" and "Traceback" not in said.out
     own = {"fit": ["--held-out"], "gap": ["--without"], "simulate": ["--inputs"], "sweep": ["--vary"], "info": ["LOG"]}
-    own |= {"export": ["--law", "--gain"], "tune": ["--spec", "--samples"]}
+    own |= {"export": ["--law", "--gain"], "tune": ["--spec", "--samples"], "rig": ["run", "experiment", "check"]}
     for word in COMMANDS if len(args) < 2 else own[args[0]]:
         assert word in said.out
 

@@ -11,6 +11,7 @@ import pytest
 from ljjax.law import Gains, Law, Limits, Robot, Tables
 from ljjax.law.file import content, dumps
 from ljjax.rig import config
+from ljjax.rig.clock import Clock
 from ljjax.rig.mock import MockRobot
 
 TOML = """
@@ -36,7 +37,7 @@ log_s = 60.0        # a loaded machine is no broken disk
 """
 
 
-class FakeClock:
+class FakeClock(Clock):
     """A clock that stands still but for waiting, and for ticks that come late on purpose."""
 
     def __init__(self, late: Callable[[float], float] = lambda t: 0.0):

@@ -121,16 +121,16 @@ def test_one_picture_without_the_tag_or_with_a_jump_is_not_believed_and_no_fault
             k = round(r.t_shape / 0.015)
             return r._replace(theta=math.nan if k % 40 == 1 else r.theta + 0.5 if k % 40 == 21 else r.theta)
 
-    seen: list[float] = []
+    believed: list[float] = []
 
     class Look(Wiggle):
-        def tick(self, t, seen_: Seen, sent):  # noqa: ANN001
-            seen.append(seen_.theta)
-            return super().tick(t, seen_, sent)
+        def tick(self, t: float, seen: Seen, sent: Sent) -> tuple[float, float, float]:
+            believed.append(seen.theta)
+            return super().tick(t, seen, sent)
 
     outcome = run(Look(), Blinks(about.mock, clock.now), about, log, clock=clock)
     assert outcome.fault is None and log.ticks[-1].rejected > 5
-    assert all(abs(theta) < 0.2 for theta in seen)
+    assert all(abs(theta) < 0.2 for theta in believed)
 
 
 def test_a_late_tick_and_missed_deadlines(clock: FakeClock):

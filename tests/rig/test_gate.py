@@ -49,7 +49,7 @@ def test_no_tension_above_its_limit_ever(asked: list[tuple[float, float, float]]
     robot = Spied(about.mock, clock.now)
     run(Nasty(asked), robot, about, Kept(), clock=clock, stopped=lambda: "me" if clock.t > 1000 + stop else "")
     limits = about.limits
-    before = (told[0][0] - 1.0, 0.0, 0.0, told[0][3]) if told else ()
+    before = (told[0][0] - 1.0, 0.0, 0.0, told[0][3]) if told else (0.0, 0.0, 0.0, 0.0)
     for now in told:
         dt = now[0] - before[0]
         for k, (most, slew) in {
