@@ -17,6 +17,7 @@ from typing import Any
 
 from ljjax import law
 from ljjax.law import Command, Law, Measured
+from ljjax.law.parts import Kind
 from ljjax.rig import config
 from ljjax.rig.clock import Clock
 from ljjax.rig.loop import RUN, Tick, run
@@ -30,16 +31,20 @@ LIMITS = config.Limits(30.0, 200.0, 40.0, 50.0, 0.6)
 NEVER = config.Safety(shape_s=60, tendons_s=60, pressure_s=60, late_s=60, missed_share=1e6, ramp_s=0.1, log_s=60)
 
 
-def mock_law() -> Law:
-    """A law of the costliest kind for the mock's body."""
+def mock_law(kind: Kind = "observer") -> Law:
+    """A law for the mock's body: two segments, no gravity, friction that hardly matters; by default the costliest."""
     root = 40.0 / (40.0 + 1e-4) ** 0.5
     return Law(
-        "observer",
+        kind,
         PERIOD_S,
         law.Gains(0.3, 20.0, 0.02, 1.0, 0.0, 0.002, 0.5, 0.02),
         law.Robot(2.0, 0.02, 0.0, 1.0, 1.6, 0.0025, 0.003, 0.045),
         law.Limits(0.5, 30.0, 2.0, 200.0, 40.0, 50.0, 0.25, 3000.0, 9000.0),
-        law.Tables(tuple(2.0 + 0.16 * k for k in range(21)), tuple(12.0 + k for k in range(21)), (0.0, root)),
+        law.Tables(
+            tuple(2.0 + 0.08 * 40.0 * (k / 20.0) ** 2 for k in range(21)),
+            tuple(12.0 + k for k in range(21)),
+            (0.0, 0.5 * root, root),
+        ),
     )
 
 

@@ -4,4 +4,5 @@ import sys
 
 from ljjax.cli import main
 
-sys.exit(main(["rig", *sys.argv[1:]]))
+if __name__ == "__main__":
+    sys.exit(main(["rig", *sys.argv[1:]]))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from ljjax.law import Gains, Law, Limits, Robot, Tables
+from benchmarks.rig_timing import mock_law
+from ljjax.law import Law
 from ljjax.law.file import content, dumps
+from ljjax.law.parts import Kind
 from ljjax.rig import config
 from ljjax.rig.clock import Clock
 from ljjax.rig.mock import MockRobot
@@ -50,21 +51,9 @@ class FakeClock(Clock):
         self.t = max(self.t, until) + self._late(self.t - 1000.0)
 
 
-def make_law(kind: Any = "integral") -> Law:
-    """A law of two segments for the mock's body: k₀ + k₁u_P, no gravity, friction that hardly matters."""
-    root = 40.0 / (40.0 + 1e-4) ** 0.5
-    return Law(
-        kind,
-        0.005,
-        Gains(0.3, 20.0, 0.02, 1.0, 0.0, 0.002, 0.5, 0.02),
-        Robot(2.0, 0.02, 0.0, 1.0, 1.6, 0.0025, 0.003, 0.045),
-        Limits(0.5, 30.0, 2.0, 200.0, 40.0, 50.0, 0.25, 3000.0, 9000.0),
-        Tables(
-            tuple(2.0 + 0.08 * 40.0 * (k / 20.0) ** 2 for k in range(21)),
-            tuple(12.0 + 20.0 * k / 20.0 for k in range(21)),
-            (0.0, 0.5 * root, root),
-        ),
-    )
+def make_law(kind: Kind = "integral") -> Law:
+    """A law of two segments for the mock's body."""
+    return mock_law(kind)
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 import os
@@ -21,7 +20,7 @@ from ljjax.errors import InputError
 from ljjax.law import Command
 from ljjax.logs import read
 from ljjax.logs.reader import read_attachment
-from ljjax.rig import config, experiments
+from ljjax.rig import experiments
 from ljjax.rig.gate import Sent
 from ljjax.rig.loop import RUN, Tick
 from ljjax.rig.recorder import Recorder
@@ -250,11 +249,3 @@ def test_a_law_edited_by_hand_never_reaches_the_robot(law_file: Path, rig_file: 
     words = ["rig", "run", str(edited), "--rig", str(rig_file), "--out", str(out)]
     assert main([*words, "--theta-deg", "5", "--stiffness", "5000"]) == 2
     assert "changed after its export" in capsys.readouterr().err and not out.exists()
-
-
-def test_no_configuration_without_its_limits():
-    about = configured()
-    assert dataclasses.is_dataclass(about.limits) and about.limits.tension_trip_n == 37.5
-    with pytest.raises(InputError, match="rig.toml: limits.tension_max_n is missing"):
-        config.parse({"schema": "ljjax.rig/1", "robot_id": "a", "driver": "mock", "p_atm_pa": 1e5, "limits": {}},
-                     "rig.toml")  # fmt: skip
