@@ -60,6 +60,23 @@ def protocols(tension: float, pressure: float) -> dict[str, tuple[str, np.ndarra
     }
 
 
+def plan(name: str, tension: float, pressure: float) -> list[dict[str, Any]]:
+    """The protocol as the runs of a rig's plan (`ljjax rig experiment` takes them from gap.json)."""
+    known = {
+        "slow_triangle_vented": ("triangle", 1.0, 0.0, {}),
+        "slow_triangle_jammed": ("triangle", 1.0, 1.0, {}),
+        "fast_sweep": ("sweep", 0.7, 0.4, {}),
+        "pressure_steps": ("pressure_steps", 0.6, 1.0, {}),
+        "long_hold": ("hold", 1.0, 0.0, {}),
+        "staircase": ("staircase", 1.0, 0.4, {}),
+        "larger_angle": ("triangle", 1.4, 0.0, {}),
+        "one_sided": ("triangle", 1.0, 0.0, {"period_s": 4.0, "back_share": 0.5}),
+    }
+    protocol, pull, draw, rest = known[name]
+    size = {"tension_n": round(pull * float(tension), 3), "vacuum_kpa": round(draw * float(pressure), 3)}
+    return [{"protocol": protocol, "name": name, **size, **rest}]
+
+
 def planned(study: Study, name: str, what: tuple[str, np.ndarray, np.ndarray]) -> Motion:
     """A run of an experiment that has not been done: nothing measured, the robot at rest before it."""
     from dataclasses import replace
@@ -108,4 +125,5 @@ def next_experiment(study: Study, rivals: Sequence[Refit], names: Sequence[str])
         "expected_separation": round(separation[best], 2),
         "why": f"{words}: there {names[0]} and {names[1]}, each as fitted to these runs, predict angles "
         f"{separation[best]:.2g} times the noise apart (RMS); of the protocols tried it parts them best",
+        "plan": plan(name, study.span["tension"], study.pressure),
     }

@@ -99,6 +99,15 @@ def _points(kind: str, theta: np.ndarray, pressure: np.ndarray) -> Points:
     return Points(kind, nothing, nothing + np.nan, pressure, theta, nothing, none, none.astype(bool))
 
 
+def plan(points: Points) -> list[dict[str, Any]]:
+    """The measurements as the runs of a rig's plan (`ljjax rig experiment` takes them from gap.json)."""
+    angles = [round(float(a), 3) for a in np.unique(np.round(np.degrees(points.theta), 3))]
+    vacuums = [round(float(p), 3) for p in np.unique(np.round(points.pressure_kpa, 3))]
+    if points.kind == "steady":
+        return [{"protocol": "hold_angles", "angles_deg": angles, "vacuums_kpa": vacuums}]
+    return [{"protocol": "probe_press", "angle_deg": angle, "vacuums_kpa": vacuums} for angle in angles]
+
+
 def next_experiment(
     laws: Laws, channels: Sequence[Channel], probabilities: Mapping[str, float]
 ) -> dict[str, Any] | None:
@@ -117,14 +126,14 @@ def next_experiment(
     if not pairs:
         return None
     lead, first, second = min(pairs, key=lambda p: p[0])
-    best, words = 0.0, ""
+    best, words, chosen = 0.0, "", None
     for text, points, noise in designs(channels):
         with np.errstate(all="ignore"):
             difference = (laws.values(first.x, points) - laws.values(second.x, points)) / noise
         size = float(np.sqrt(np.mean(difference**2)))
         if np.isfinite(size) and size > best:
-            best, words = size, text
-    if not words:
+            best, words, chosen = size, text, points
+    if chosen is None:
         return None
     names = [c.effect or "no_gap" for c in (first, second)]
     shown = [n if n != "no_gap" else "the base model" for n in names]
@@ -137,6 +146,7 @@ def next_experiment(
             f"{words}: there {shown[0]} and {shown[1]} differ by {best:.2g} times the measurements' scatter (RMS); so "
             f"far the first is {odds} more likely"
         ),
+        "plan": plan(chosen),
     }
 
 

@@ -12,7 +12,7 @@ import io
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from ljjax.errors import InputError, SolverError
@@ -25,6 +25,7 @@ COMMANDS = {
     "tune": "tune a robot's control law through the simulated closed loop",
     "robust": "how robust a law is: thousands of closed loops on robots as they may turn out",
     "export": "write a robot's control law as one file for the rig",
+    "rig": "run an exported law or an experiment on hardware",
     "info": "what logs hold, and whether they meet the contract",
 }
 
@@ -37,7 +38,7 @@ def main(args: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="replace")  # a terminal or a pipe that knows no Greek gets a "?", not a failure
     try:
         if not args or args[0] in ("-h", "--help"):
-            print(_help())
+            print(_help(COMMANDS, "simulate, identify, diagnose and control layer-jamming continuum robots", "ljjax"))
             return 0
         if args[0] == "--version":
             from importlib.metadata import version
@@ -105,20 +106,26 @@ def progress() -> Iterator[Callable[[str, int, int], None]]:
         yield tell
 
 
-def _help() -> str:
-    width = max(map(len, COMMANDS))
-    rows = "\n".join(f"  ljjax {name:<{width}}  {what}" for name, what in COMMANDS.items())
-    return (
-        "ljjax: simulate, identify, diagnose and control layer-jamming continuum robots\n\n"
-        f"{rows}\n\nljjax COMMAND --help says it all."
-    )
+def _help(commands: Mapping[str, str], what: str, prog: str) -> str:
+    width = max(map(len, commands))
+    rows = "\n".join(f"  {prog} {name:<{width}}  {about}" for name, about in commands.items())
+    return f"{prog}: {what}\n\n{rows}\n\n{prog} COMMAND --help says it all."
 
 
 def _parse(name: str, args: Sequence[str]):
     """The command's call with its arguments bound, or None where only help was asked for."""
     import tyro
 
-    command = importlib.import_module(f"ljjax.cli.{name}").command
+    module = importlib.import_module(f"ljjax.cli.{name}")
+    if hasattr(module, "COMMANDS"):  # a command of several
+        if not args or args[0] in ("-h", "--help"):
+            print(_help(module.COMMANDS, COMMANDS[name], f"ljjax {name}"))
+            return None
+        if args[0] not in module.COMMANDS:
+            raise InputError(f"{name}: no command {args[0]!r}; expected {', '.join(module.COMMANDS)}")
+        command, name, args = getattr(module, args[0]), f"{name} {args[0]}", args[1:]
+    else:
+        command = module.command
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):

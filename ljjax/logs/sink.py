@@ -83,9 +83,11 @@ class Sink:
     def attachment(self, t_ns: int, name: str, media_type: str, data: bytes) -> None:
         self._mcap.add_attachment(t_ns, t_ns, name, media_type, data)
 
-    def flush(self) -> None:
-        """Close the chunk and hand everything to the operating system."""
+    def flush(self, sync: bool = False) -> None:
+        """Close the chunk and hand everything to the operating system; with `sync`, wait until it is on the disk."""
         self._mcap.flush()
+        if sync:
+            os.fsync(self._file.fileno())
 
     def close(self) -> None:
         if not self._file.closed:

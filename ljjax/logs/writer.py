@@ -194,9 +194,9 @@ class Writer:
         self._sink.attachment(self._last_ns if t_ns is None else t_ns, name, media_type, data)
         self._sink.metadata(contract.ATTACHMENT_RECORD, {f"sha256:{n}": sha for n, sha in self._shas.items()})
 
-    def flush(self) -> None:
-        """Hand everything so far to the operating system."""
-        self._sink.flush()
+    def flush(self, sync: bool = False) -> None:
+        """Hand everything so far to the operating system; with `sync`, wait until it is on the disk."""
+        self._sink.flush(sync)
 
     def close(self, end_reason: str = "completed") -> None:
         """Finish the file. Further calls do nothing."""
