@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from ljjax.cli.rig_emulate import command as emulate
 from ljjax.errors import InputError
+
+__all__ = ["check", "emulate", "experiment", "run"]
 
 if TYPE_CHECKING:
     from ljjax.rig.session import Session
@@ -17,6 +20,7 @@ COMMANDS = {
     "run": "run a law on the robot",
     "experiment": "run a plan of experiments, or what ljjax gap asks for next",
     "check": "hold rig.toml against the hardware",
+    "emulate": "a rig that is not there, for the drivers that are",
 }
 
 

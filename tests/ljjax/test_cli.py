@@ -300,7 +300,7 @@ def test_help(args: list[str], capsys: pytest.CaptureFixture[str]):
         "How fast the vacuum may change, in kPa/s",
     ]
     own |= {"export": ["--law", "--gain", *rig], "tune": ["--spec", "--samples", *rig], "robust": ["--fit", "--sobol"]}
-    own["rig"] = ["run", "experiment", "check"]
+    own["rig"] = ["run", "experiment", "check", "emulate"]
     for word in COMMANDS if len(args) < 2 else own[args[0]]:
         assert word in said.out
 
