@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
-from ljjax.errors import InputError
+from ljjax.errors import InputError, read_file
 
 FILE = "fit.json"
 
@@ -27,14 +27,7 @@ def read(path: str | os.PathLike[str]) -> Fitted:
         InputError: no such file, or one that is of no single robot's fit.
     """
     place = Path(path) / FILE if Path(path).is_dir() else Path(path)
-    try:
-        data = json.loads(place.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{place}: no such file; give the fit.json of ljjax fit, or its folder") from None
-    except OSError as error:
-        raise InputError(f"{place}: cannot be read ({error.strerror}); give the fit.json of ljjax fit") from None
-    except ValueError as error:
-        raise InputError(f"{place}: not JSON ({error}); give the fit.json of ljjax fit") from None
+    _, data = read_file(place, json.loads, "JSON", "give the fit.json of ljjax fit, or its folder")
     if not isinstance(data, dict) or data.get("schema") != "ljjax.fit/1" or "parameters" not in data:
         raise InputError(f'{place}: is no fit of one robot; expected schema = "ljjax.fit/1" with parameters')
     try:

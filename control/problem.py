@@ -73,6 +73,7 @@ class Problem:
         start: (k,) the gains to begin with.
         box: from coordinates in [0, 1]^k to feasible gains.
         count: closed loops simulated so far.
+        size: targets T and robots S.
     """
 
     def __init__(
@@ -108,7 +109,7 @@ class Problem:
     def _place(self, robots: Sequence[Model], seed: int) -> None:
         model = robots[0]
         self._robots = stack(list(robots))
-        self._size = len(self.spec.targets), len(robots)
+        self.size = len(self.spec.targets), len(robots)
         noise = np.random.default_rng([seed, 1]).standard_normal((len(robots), self.ticks))
         self._noise = np.asarray(model.n * self.spec.noise_rad * noise, model.jamming.c4.dtype)
 
@@ -124,36 +125,45 @@ class Problem:
         if good.any():
             measures, ok = self._all(self._value, gains[good])
             self.count.values += ok.size
-            out[good] = np.asarray(self._loss(measures, ok))
+            out[good] = self.priced(measures, ok)
         return out
 
     def value_and_gradient(self, gains: Any) -> tuple[np.ndarray, np.ndarray]:
         """(R,) losses of feasible gains (R, k), and derivatives (R, k) by the gains; loops that fail have none."""
+        measures, ok, slopes = self.measures(gains)
+        losses, pull = self._pull(measures, ok)
+        return np.asarray(losses), np.einsum("rtsm,rtsmk->rk", np.asarray(pull), slopes)
+
+    def priced(self, measures: np.ndarray, ok: np.ndarray) -> np.ndarray:
+        """(R,) the losses of measures (R, T, S, m), of loops sound or not (R, T, S)."""
+        return np.asarray(self._loss(measures, ok))
+
+    def measures(self, gains: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Smooth measures (R, T, S, m) of the loops of feasible gains (R, k), whether each loop is sound (R, T, S), and
+        the measures' derivatives (R, T, S, m, k) by the gains, 0 where there are none."""
         (measures, ok), slopes = self._all(self._slope, np.asarray(gains, float))
         self.count.gradients += ok.size
-        losses, pull = self._pull(measures, ok)
-        sound = np.where(np.isfinite(slopes), slopes, 0.0)
-        return np.asarray(losses), np.einsum("rtsm,rtsmk->rk", np.asarray(pull), sound)
+        return measures, ok, np.where(np.isfinite(slopes), slopes, 0.0)
 
     def told(self, gains: Any) -> tuple[float, list[list[dict[str, float]]], list[Loop]]:
         """The loss of gains (k,), plain measures of their loops by target and robot (NaN where a loop fails), and the
         first robot's loops, one a target."""
         loops, asked, measures, ok = self._all(self._told, np.asarray(gains, float)[None])
         self.count.values += ok.size
-        loss = float(self._loss(measures, ok)[0])
+        loss = float(self.priced(measures, ok)[0])
         period, failed = float(self.law.period_s), dict.fromkeys(MEASURES, math.nan)
 
         def one(t: int, s: int) -> dict[str, float]:
             loop, wanted = jax.tree.map(lambda x: x[0, t, s], (loops, asked))
             return plain(loop, wanted, self.spec, period) if ok[0, t, s] else failed
 
-        targets, robots = self._size
+        targets, robots = self.size
         first = [jax.tree.map(lambda x, t=t: x[0, t, 0], loops) for t in range(targets)]
         return loss, [[one(t, s) for s in range(robots)] for t in range(targets)], first
 
     def _all(self, function: Any, gains: np.ndarray) -> Any:
         """A function of all loops of gains (R, k): results with the axes (R, T, S)."""
-        count, (t, s) = len(gains), self._size
+        count, (t, s) = len(gains), self.size
         index = np.indices((count, t, s)).reshape(3, -1)
         theta, stiffness = (
             np.array([getattr(x, name) for x in self.spec.targets]) for name in ("theta_rad", "stiffness_n_m")

@@ -7,12 +7,11 @@ import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
-from pathlib import Path
 from typing import Any
 
 from ljjax.control.entries import number, only, table
 from ljjax.control.vary import Vary, read
-from ljjax.errors import InputError
+from ljjax.errors import InputError, read_file
 from ljjax.law.parts import Command, Law
 from ljjax.law.reach import refuse_beyond
 
@@ -114,14 +113,7 @@ def load(path: str | os.PathLike[str]) -> Spec:
         InputError: naming file, key, what was found and what is expected.
     """
     where = str(path)
-    try:
-        data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{where}: no such file; give a specification, or none for the default") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{where}: cannot be read as text ({error}); give a specification in TOML") from None
-    except ValueError as error:
-        raise InputError(f"{where}: not TOML: {error}") from None
+    _, data = read_file(path, tomllib.loads, "TOML", "give a specification, or none for the default")
     if data.get("schema") != SCHEMA:
         raise InputError(f'{where}: schema is {data.get("schema")!r}; expected schema = "{SCHEMA}"')
     only(where, "", data, ("schema", "targets", "loop", "robots", "require", "vary"))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ljjax.effect import Effect
-from ljjax.errors import InputError
+from ljjax.errors import InputError, read_file
 from ljjax.model import TABLES, UNITS, Model, check, get, in_gauge, units
 
 SCHEMA = "ljjax.model/1"
@@ -42,15 +42,7 @@ class ModelFile:
 def load(path: str | os.PathLike[str]) -> ModelFile:
     """Read a model.toml. Raises InputError naming file, key, what was found and what is expected."""
     where = str(path)
-    try:
-        data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{where}: no such file; give a model.toml") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{where}: cannot be read as text ({error}); give a model.toml") from None
-    except ValueError as error:  # TOMLDecodeError, or a whole number of more digits than Python reads
-        raise InputError(f"{where}: not TOML: {error}") from None
-
+    _, data = read_file(path, tomllib.loads, "TOML", "give a model.toml")
     if data.get("schema") != SCHEMA:
         raise InputError(f'{where}: schema is {data.get("schema")!r}; expected schema = "{SCHEMA}"')
     _only(where, "", data, {"schema", *TABLES, "effects", "uncertainty", "fit"})

@@ -8,14 +8,13 @@ import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from ljjax.errors import InputError
+from ljjax.errors import InputError, read_file
 
 SCHEMA = "ljjax.rig/1"
-PARTS = ("servos", "camera", "pressure", "mock")
+PARTS = ("servos", "camera", "pressure", "sensors", "ros2", "mock")
 """Sections that only a driver reads."""
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
@@ -104,6 +103,8 @@ class Config:
     servos: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
     camera: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
     pressure: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    sensors: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    ros2: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
     mock: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
     text: str = ""
 
@@ -114,17 +115,8 @@ def load(path: str | os.PathLike[str]) -> Config:
     Raises:
         InputError: no such file, not TOML, a key that is missing, unknown or impossible.
     """
-    where = os.fspath(path)
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-        data = tomllib.loads(text)
-    except FileNotFoundError:
-        raise InputError(f"{where}: no such file; docs/rig.md shows one to begin with") from None
-    except OSError as error:
-        raise InputError(f"{where}: cannot be read ({error.strerror}); give a rig.toml") from None
-    except ValueError as error:
-        raise InputError(f"{where}: not TOML ({error}); mend that line") from None
-    return parse(data, where, text)
+    text, data = read_file(path, tomllib.loads, "TOML", "give a rig.toml, as docs/rig.md shows one")
+    return parse(data, os.fspath(path), text)
 
 
 def parse(data: Mapping[str, Any], where: str, text: str = "") -> Config:

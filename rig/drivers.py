@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from ljjax.errors import InputError
 from ljjax.rig.config import Config
@@ -17,13 +16,18 @@ def _mock(config: Config) -> Robot:
 
 
 def _reference(config: Config) -> Robot:
-    import importlib
+    from ljjax.rig.reference import ReferenceRig
 
-    module: Any = importlib.import_module("ljjax.rig.reference")
-    return module.ReferenceRig(config)
+    return ReferenceRig(config)
 
 
-DRIVERS: dict[str, Callable[[Config], Robot]] = {"mock": _mock, "reference": _reference}
+def _ros2(config: Config) -> Robot:
+    from ljjax.rig.ros2 import Ros2Robot
+
+    return Ros2Robot(config)
+
+
+DRIVERS: dict[str, Callable[[Config], Robot]] = {"mock": _mock, "reference": _reference, "ros2": _ros2}
 
 
 def open_robot(config: Config) -> Robot:

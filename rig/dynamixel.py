@@ -12,6 +12,7 @@ away.
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 import time
 from collections.abc import Mapping
@@ -49,17 +50,19 @@ class Servos:
         table: [servos] of rig.toml: port, baud, ids, direction (+1 where a positive current pulls, else −1),
             spool_radius_m, torque_constant_nm_a, friction_ma, current_max_ma, watchdog_ms, reply_ms (how long a reply
             may take beyond its bytes), lost_ticks (ticks without a reply after which a servo counts as lost).
+        most_n: tension beyond which rounding to a unit of current is never upwards [N].
 
     Raises:
         InputError: a key that is missing, unknown or wrong.
     """
 
-    def __init__(self, table: Mapping[str, Any]):
+    def __init__(self, table: Mapping[str, Any], most_n: float = math.inf):
         keys = Keys("servos", table)
         self.port_name = keys.text("port", expected="the bus's serial port, such as /dev/ttyUSB0")
         self.baud = keys.whole("baud", 1_000_000, 9600, 4_000_000)
         self.ids: tuple[int, int] = keys.pair("ids", (1, 2), whole=True, low=0, high=252)
         self.spools = Spools(keys)
+        self._most_units = int(self.spools.current_ma(most_n) / xm430.CURRENT_MA)
         self.watchdog = round(keys.number("watchdog_ms", 100.0, "ms", 20.0, 2540.0) / 1000 / xm430.WATCHDOG_S)
         self.reply_s = keys.number("reply_ms", 4.0, "ms", 0.1, 1000.0) / 1000
         self.lost_ticks = keys.whole("lost_ticks", 10, 1, 10_000)
@@ -213,7 +216,8 @@ class Servos:
         """Both goal currents in one packet, which no servo answers: one that is lost, the next tick replaces."""
         self._write_goals.clearParam()
         for side, tension in enumerate(goal):
-            units = round(self.spools.current_ma(tension) / xm430.CURRENT_MA) * self.spools.direction[side]
+            pull = min(round(self.spools.current_ma(tension) / xm430.CURRENT_MA), self._most_units)
+            units = pull * self.spools.direction[side]
             self._write_goals.addParam(self.ids[side], list((units & 0xFFFF).to_bytes(2, "little")))
         self._write_goals.txPacket()
 

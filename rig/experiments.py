@@ -8,10 +8,9 @@ import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from ljjax.errors import InputError
+from ljjax.errors import InputError, read_file
 from ljjax.rig.config import Limits
 from ljjax.rig.gate import Sent
 from ljjax.rig.protocols import PROTOCOLS, Protocol
@@ -72,16 +71,14 @@ def load(path: str | os.PathLike[str], limits: Limits, ramp_s: float = 1.0) -> P
             diagnosis that leaves nothing to do, an experiment beyond the limits.
     """
     where = os.fspath(path)
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-        data: Any = json.loads(text) if text.lstrip().startswith("{") else tomllib.loads(text)
-    except OSError as error:
-        raise InputError(f"{where}: cannot be read ({error.strerror}); give a plan.toml or a gap.json") from None
-    except ValueError as error:
-        raise InputError(f"{where}: neither TOML nor JSON ({error}); give a plan.toml or a gap.json") from None
+    text, data = read_file(path, _either, "TOML or JSON", "give a plan.toml or a gap.json")
     if data.get("schema") == GAP_SCHEMA:
         data = _of_gap(data, where)
     return parse(data, where, limits, ramp_s, text)
+
+
+def _either(text: str) -> Any:
+    return json.loads(text) if text.lstrip().startswith("{") else tomllib.loads(text)
 
 
 def _of_gap(data: Mapping[str, Any], where: str) -> dict[str, Any]:

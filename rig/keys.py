@@ -72,6 +72,18 @@ class Keys:
             raise self._refuse(key, value, expected)
         return value[0], value[1]
 
+    def calibrated(self, key: str) -> tuple[int, float, float]:
+        """A channel, its scale, which is not 0, and its offset."""
+        expected = "[channel, scale, offset], the scale not 0"
+        value = self._take(key, MISSING, expected)
+        numbers = isinstance(value, list | tuple) and len(value) == 3
+        if not numbers or any(isinstance(x, bool) or not isinstance(x, int | float) for x in value):
+            raise self._refuse(key, value, expected)
+        channel, scale, offset = value
+        if channel != int(channel) or channel < 0 or scale == 0 or not math.isfinite(scale + offset):
+            raise self._refuse(key, value, expected)
+        return int(channel), float(scale), float(offset)
+
     def done(self) -> None:
         """Refuse what is left."""
         if self._left:

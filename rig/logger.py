@@ -103,8 +103,9 @@ class Rows:
         if len(r.joints) == self._joints:
             self._sample("shape", r.t_shape, now, list(r.joints) or [r.theta])
         self._sample("pressure", r.t_pressure, now, [self._p_atm - 1e3 * r.vacuum_kpa])
-        self._sample("tendons", r.t_tendons, now, tendons)
-        self._sample("probe", r.t_tendons, now, [r.probe_m, r.probe_n])
+        if not r.by_current:
+            self._sample("tendons", r.t_tendons, now, tendons)
+        self._sample("probe", r.t_probe, now, [r.probe_m, r.probe_n])
         self._diagnostics(x, r, row.text, now)
 
     def _sample(self, signal_name: str, t: float, now: int, value: list[float]) -> None:
@@ -121,7 +122,8 @@ class Rows:
         values = {f"{name.removesuffix('_s')}_ms": f"{1e3 * worst:.3f}" for name, worst in self._worst.items()}
         values |= {"missed": str(int(x["missed"])), "rejected": str(int(x["rejected"]))}
         motors = {"left_ma": r.left_ma, "right_ma": r.right_ma, "temperature_c": r.temperature_c}
-        values |= {name: f"{value:.1f}" for name, value in motors.items() if math.isfinite(value)}
+        motors |= {"left_mm": 1e3 * r.left_m, "right_mm": 1e3 * r.right_m}
+        values |= {name: f"{value:.2f}" for name, value in motors.items() if math.isfinite(value)}
         statuses = [(WARN if state == "safe" else OK, "loop", state, values)]
         if text:
             statuses.append((ERROR, "fault", text, {}))

@@ -13,10 +13,9 @@ import random
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
-from ljjax.rig.robot import NAN, Reading, RigError
+from ljjax.rig.robot import NAN, Reading, RigError, Robot
 
 FAULTS = (
     "camera_frozen", "camera_stuck", "tag_lost", "tag_jump", "gauge_frozen", "gauge_stuck", "gauge_nan", "leak",
@@ -53,7 +52,7 @@ class Body:
     seed: int = 0
 
 
-class MockRobot:
+class MockRobot(Robot):
     """The robot; `now` is the clock it moves by."""
 
     def __init__(self, given: Mapping[str, Any] | None = None, now: Callable[[], float] = time.monotonic):
@@ -135,12 +134,3 @@ class MockRobot:
         """Slack tendons; the vacuum is kept, or vented."""
         self.wanted = (0.0, 0.0, 0.0 if vent else self.wanted[2])
         self.connected = False
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.stop()

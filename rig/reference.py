@@ -1,20 +1,25 @@
-"""The reference rig: two servos on the tendons, a camera on the tip's tag, a vacuum regulator with its gauge."""
+"""The reference rig: two servos on the tendons, a camera on the tip's tag, a vacuum regulator with its gauge, and where
+they are there tension sensors and a probe."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 from ljjax.rig.camera import Shape, TagCamera
+from ljjax.rig.config import Limits
 from ljjax.rig.dynamixel import Servos
 from ljjax.rig.regulator import Gauge, Vacuum
-from ljjax.rig.robot import Reading
+from ljjax.rig.robot import Reading, Robot
+from ljjax.rig.sensors import Sensed, Sensors
 
 
 class Config(Protocol):
-    """What a rig.toml says of the three parts, as plain tables; a part whose table is empty is not there."""
+    """What a rig.toml says of limits and, as plain tables, the parts; one whose table is empty is not there."""
+
+    @property
+    def limits(self) -> Limits: ...
 
     @property
     def servos(self) -> Mapping[str, Any]: ...
@@ -25,19 +30,23 @@ class Config(Protocol):
     @property
     def pressure(self) -> Mapping[str, Any]: ...
 
+    @property
+    def sensors(self) -> Mapping[str, Any]: ...
 
-class ReferenceRig:
+
+class ReferenceRig(Robot):
     """The reference rig as a `ljjax.rig.robot.Robot`. Raises InputError naming the key of rig.toml that is wrong."""
 
     def __init__(self, config: Config):
-        self._servos = Servos(config.servos)
+        self._servos = Servos(config.servos, config.limits.tension_max_n)
         self._camera = TagCamera(config.camera) if config.camera else None
         self._vacuum = Vacuum(config.pressure) if config.pressure else None
+        self._sensors = Sensors(config.sensors) if config.sensors else None
 
     def connect(self) -> None:
         """Open all parts, or none. Raises RigError; nothing moves."""
         try:
-            for part in (self._camera, self._vacuum, self._servos):
+            for part in (self._camera, self._vacuum, self._sensors, self._servos):
                 if part is not None:
                     part.connect()
         except BaseException:
@@ -45,24 +54,31 @@ class ReferenceRig:
             raise
 
     def read(self) -> Reading:
-        """The latest of every sensor; tensions are those that the motor currents tell."""
+        """The latest of every sensor; where none measures the tensions, those that the motor currents tell."""
         tendons = self._servos.read()
         shape = Shape() if self._camera is None else self._camera.read()
         gauge = Gauge() if self._vacuum is None else self._vacuum.read()
+        sensed = Sensed() if self._sensors is None else self._sensors.read()
+        measured = self._sensors is not None and self._sensors.of_tension
+        left_n, right_n = (sensed.left_n, sensed.right_n) if measured else tendons.n
         return Reading(
             t_shape=shape.t,
             theta=shape.theta,
             t_pressure=gauge.t,
             vacuum_kpa=gauge.vacuum_kpa,
-            t_tendons=tendons.t,
-            left_n=tendons.n[0],
-            right_n=tendons.n[1],
+            t_tendons=sensed.t if measured else tendons.t,
+            left_n=left_n,
+            right_n=right_n,
             left_m=tendons.m[0],
             right_m=tendons.m[1],
+            by_current=float(not measured),
             left_ma=tendons.ma[0],
             right_ma=tendons.ma[1],
             temperature_c=tendons.temperature_c,
-            faults=(*tendons.faults, *shape.faults, *gauge.faults),
+            t_probe=sensed.t,
+            probe_m=sensed.probe_m,
+            probe_n=sensed.probe_n,
+            faults=(*tendons.faults, *shape.faults, *gauge.faults, *sensed.faults),
         )
 
     def command(self, left_n: float, right_n: float, vacuum_kpa: float) -> None:
@@ -77,15 +93,7 @@ class ReferenceRig:
         for stop in (
             lambda: self._vacuum and self._vacuum.stop(vent),
             lambda: self._camera and self._camera.stop(),
+            lambda: self._sensors and self._sensors.stop(),
         ):
             with contextlib.suppress(Exception):
                 stop()
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.stop()

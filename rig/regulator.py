@@ -64,9 +64,10 @@ class SerialPort:
             raise ValueError(f"answered {answer!r} to 'V'; expected 'OK'")
 
     def get(self) -> float:
-        name, _, value = self._ask("P").partition(" ")
+        answer = self._ask("P")
+        name, _, value = answer.partition(" ")
         if name != "P" or not math.isfinite(float(value)):
-            raise ValueError(f"answered {name!r} to 'P'; expected 'P' and a number")
+            raise ValueError(f"answered {answer!r} to 'P'; expected 'P' and a number")
         return float(value)
 
     def close(self) -> None:
@@ -167,8 +168,7 @@ class Vacuum:
     def _open(self) -> Port:
         if self._kind == "serial":
             return SerialPort(self._name, self._baud, self._reply)
-        module, _, name = self._name.partition(":")
-        return AnalogPort(getattr(importlib.import_module(module), name)())
+        return AnalogPort(device(self._name))
 
     def _kpa(self, port: Port) -> float:
         scale, offset = self._gauge
@@ -193,6 +193,12 @@ class Vacuum:
                 if failed >= self._lost:
                     text = f"pressure {self._name}: {error}; check its cable and power"
                     self._last = self._last._replace(faults=(text,))
+
+
+def device(name: str) -> Any:
+    """A device of the user's, made by the callable PACKAGE.MODULE:NAME."""
+    module, _, member = name.partition(":")
+    return getattr(importlib.import_module(module), member)()
 
 
 def _scale(keys: Keys, name: str) -> tuple[float, float]:

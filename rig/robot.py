@@ -22,10 +22,13 @@ class Reading(NamedTuple):
         t_shape, theta: when the shape was seen [s], and the mean segment angle [rad], + toward the left tendon.
         t_pressure, vacuum_kpa: when the gauge was read [s], and the vacuum below the atmosphere [kPa].
         t_tendons: when the tendons were read [s].
-        left_n, right_n: tensions measured [N]; `left_m`, `right_m` spool travel [m], + pulls in.
+        left_n, right_n: tensions [N]; `left_m`, `right_m` spool travel [m], + pulls in.
+        by_current: 1 where the tensions are what the motor currents tell. They know nothing of gearbox and routing,
+            so they are watched, and not logged as measured tensions, which a diagnosis would believe.
         left_ma, right_ma: motor currents [mA].
         temperature_c: the warmest motor's [°C].
-        probe_m, probe_n: a linear probe's position [m] and force [N, + pushes the tip toward +x].
+        t_probe: when a linear probe was read [s]; `probe_m`, `probe_n` its position [m] and force [N, + pushes the tip
+            toward +x].
         joints: each joint's angle [rad], where each has a marker.
         faults: what the hardware says is wrong with it, empty where nothing is.
     """
@@ -39,9 +42,11 @@ class Reading(NamedTuple):
     right_n: float = NAN
     left_m: float = NAN
     right_m: float = NAN
+    by_current: float = 0.0
     left_ma: float = NAN
     right_ma: float = NAN
     temperature_c: float = NAN
+    t_probe: float = -math.inf
     probe_m: float = NAN
     probe_n: float = NAN
     joints: tuple[float, ...] = ()
@@ -49,7 +54,7 @@ class Reading(NamedTuple):
 
 
 class Robot(Protocol):
-    """A robot behind four verbs; a context manager that always stops.
+    """A robot behind four verbs; a context manager that always stops. Drivers inherit from it.
 
     `read` returns at once with the latest of every sensor, and `command` does not wait for the hardware longer than a
     tick of the loop; drivers that block have a thread or process of their own. A dead loop must not be masked: what
@@ -72,8 +77,11 @@ class Robot(Protocol):
         """Tensions off, hardware released, whatever state it is in; the vacuum is kept, or vented. Never raises."""
         ...
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    ) -> None:
+        self.stop()

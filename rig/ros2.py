@@ -13,11 +13,10 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 from ljjax.rig.keys import Keys
-from ljjax.rig.robot import NAN, Reading, RigError
+from ljjax.rig.robot import NAN, Reading, RigError, Robot
 
 TENDONS = ["tendon_left", "tendon_right"]
 
@@ -32,7 +31,7 @@ class Config(Protocol):
     def ros2(self) -> Mapping[str, Any]: ...
 
 
-class Ros2Robot:
+class Ros2Robot(Robot):
     """A robot behind ROS 2 topics as a `ljjax.rig.robot.Robot`.
 
     Stamps are those of the messages' headers, brought from the node's clock to `time.monotonic()`.
@@ -127,15 +126,6 @@ class Ros2Robot:
                 self._publish_vacuum(stamp, 0.0)
         self._close()
 
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.stop()
-
     def _publish_vacuum(self, stamp: Any, vacuum_kpa: float) -> None:
         pressure = self._sensor.FluidPressure()
         pressure.header.stamp, pressure.fluid_pressure = stamp, self._p_atm - 1000 * vacuum_kpa
@@ -193,7 +183,7 @@ class Ros2Robot:
         return {"t_shape": self._stamp(m), "theta": sum(joints) / count if count else NAN, "joints": joints}
 
     def _probe_said(self, m: Any) -> dict[str, Any]:
-        return {"probe_m": _of(m, m.position, "probe"), "probe_n": _of(m, m.effort, "probe")}
+        return {"t_probe": self._stamp(m), "probe_m": _of(m, m.position, "probe"), "probe_n": _of(m, m.effort, "probe")}
 
 
 def _of(message: Any, values: Sequence[float], name: str) -> float:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from ljjax import law
-from ljjax.errors import InputError
+from ljjax.errors import InputError, read_file
 from ljjax.law import Command, Law, Measured
 from ljjax.rig.gate import Sent
 from ljjax.rig.safety import Seen
@@ -100,12 +99,7 @@ def load_schedule(path: str | os.PathLike[str]) -> tuple[list[Point], float]:
     import math
 
     where = os.fspath(path)
-    try:
-        data: dict[str, Any] = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{where}: cannot be read ({error.strerror}); give a schedule") from None
-    except ValueError as error:
-        raise InputError(f"{where}: not TOML ({error}); mend that line") from None
+    _, data = read_file(path, tomllib.loads, "TOML", "give a schedule, as docs/rig.md shows one")
     if data.get("schema") != SCHEMA:
         raise InputError(f"{where}: schema is {data.get('schema')!r}; expected {SCHEMA!r}")
     if set(data) != {"schema", "seconds", "points"} or not isinstance(data["points"], list) or not data["points"]:

@@ -43,7 +43,7 @@ class Size(NamedTuple):
     robots: int = 1000
     probed: int = 64
     seeds: int = 5
-    iterations: int = 30
+    iterations: int = 20
     patience: int = 25
     loops: int = 1024
     loop_s: float = 10.0

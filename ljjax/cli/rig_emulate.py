@@ -9,7 +9,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -49,8 +49,8 @@ def command(
         out: The rig.toml to write.
         effects: Parameters of effects to add or change, such as actuator_lag.tau_s=0.05.
         fault: What goes wrong, and when: servo_unplugged=left|right|bus, servo_error=BIT, packet_loss=SHARE,
-            packet_corrupt=SHARE, camera_frozen, tag_lost, tag_jump=RAD, gauge_stuck, vacuum_leak=SHARE; @SECONDS after
-            the start.
+            packet_corrupt=SHARE, camera_frozen, tag_lost, tag_jump=RAD, gauge_stuck, gauge_nan, vacuum_leak=SHARE;
+            @SECONDS after the start.
         rate_hz: Pictures a second, in Hz.
         duration_s: End after so long, in s.
         seed: Seed of noise and lost packets.
@@ -71,8 +71,8 @@ def command(
     robot = _with_effects(modelfile.load(model).model, effects)
     rig = EmulatedRig(Live(robot), planned, rate_hz, seed)
     try:
-        out.write_text(_toml({"limits": LIMITS, **rig.tables()}), encoding="utf-8")
-        servos, camera, pressure = (rig.tables()[name] for name in ("servos", "camera", "pressure"))
+        out.write_text(rig.toml({"limits": LIMITS}), encoding="utf-8")
+        servos, camera, pressure = rig.tables().values()
         print(f"servos {servos['port']}, pictures {camera['source']}, vacuum {pressure['port']}")
         print(f"Written: {out}", flush=True)
         threading.Thread(target=_listen, args=(rig,), daemon=True).start()
@@ -134,14 +134,3 @@ def _with_effects(model: Model, given: tuple[str, ...]) -> Model:
     changed = dataclasses.replace(model, effects=tuple(REGISTRY[i](**found[i]) for i in REGISTRY if i in found))
     check(changed, where="--effects")
     return changed
-
-
-def _toml(tables: dict[str, dict[str, Any]]) -> str:
-    lines = ['schema = "ljjax.rig/1"', 'robot_id = "emulated"', 'driver = "reference"', "p_atm_pa = 101325"]
-    for name, table in tables.items():
-        lines += ["", f"[{name}]", *(f"{key} = {_value(value)}" for key, value in table.items())]
-    return "\n".join(lines) + "\n"
-
-
-def _value(value: Any) -> str:
-    return f'"{value}"' if isinstance(value, str) else repr(value)

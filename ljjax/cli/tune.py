@@ -20,7 +20,7 @@ def command(
     free: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME…")] = (),
     samples: int = 8,
     restarts: int = 2,
-    iterations: int = 30,
+    iterations: int = 20,
     seed: int = 0,
     limits: Flags = DEFAULTS,
 ) -> None:

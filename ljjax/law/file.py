@@ -7,10 +7,9 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-from ljjax.errors import InputError
+from ljjax.errors import InputError, read_file
 from ljjax.law.golden import COLUMNS, Golden, mismatch, record
 from ljjax.law.parts import KINDS, STATE_UNITS, UNITS, Gains, Law, Limits, Robot, State, Tables
 
@@ -81,14 +80,7 @@ def load(path: PathLike) -> Law:
 def read(path: PathLike) -> dict[str, Any]:
     """The contents of a law.json, unchecked but for being an object of JSON."""
     where = str(path)
-    try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{where}: no such file; make it with ljjax export") from None
-    except OSError as error:
-        raise InputError(f"{where}: cannot be read ({error.strerror}); give a law.json") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{where}: not JSON ({error}); export the law again") from None
+    _, data = read_file(path, json.loads, "JSON", "make a law.json with ljjax export")
     if not isinstance(data, dict):
         raise InputError(f"{where}: holds no law; expected an object with schema {SCHEMA!r}")
     return data

@@ -7,10 +7,9 @@ import os
 import re
 import tomllib
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-from ljjax.errors import InputError
+from ljjax.errors import InputError, read_file
 from ljjax.logs import units
 from ljjax.logs.contract import RUN_KEYS
 from ljjax.logs.path import Step, parse_path
@@ -82,15 +81,7 @@ class Mapping:
 def load_mapping(path: str | os.PathLike[str]) -> Mapping:
     """Read a mapping TOML. Raises InputError naming the line and the key."""
     name = os.fspath(path)
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-        table = tomllib.loads(text)
-    except FileNotFoundError:
-        raise InputError(f"{name}: no such mapping file") from None
-    except OSError as error:
-        raise InputError(f"{name}: cannot be read ({error.strerror or error})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{name}: is no TOML: {error}") from None
+    text, table = read_file(path, tomllib.loads, "TOML", "give a mapping file, as docs/logs.md shows one")
     return _Reader(name, text).mapping(table)
 
 

@@ -17,6 +17,7 @@ KINDS = {
     "tag_lost": "the tag is out of sight",
     "tag_jump": "angle by which the tag is seen turned [rad]",
     "gauge_stuck": "the gauge repeats its last value",
+    "gauge_nan": "the gauge answers without a number",
     "vacuum_leak": "share of the vacuum that the line loses",
 }
 _DEFAULT = {"servo_unplugged": "right", "servo_error": "5", "tag_jump": "0.5"}

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import os
 import select
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -79,6 +80,13 @@ class EmulatedRig:
             "pressure": {"kind": "serial", "port": self._vacuum.line.path, "reply_ms": 1000.0},
         }
 
+    def toml(self, more: Mapping[str, Mapping[str, Any]]) -> str:
+        """A rig.toml that reaches this rig, with more tables, such as the limits."""
+        lines = ['schema = "ljjax.rig/1"', 'robot_id = "emulated"', 'driver = "reference"', "p_atm_pa = 101325"]
+        for name, table in {**more, **self.tables()}.items():
+            lines += ["", f"[{name}]", *(f"{key} = {json.dumps(value)}" for key, value in table.items())]
+        return "\n".join(lines) + "\n"
+
     def run(self) -> None:
         """Serve until `end`."""
         while not self._ending.is_set():
@@ -141,6 +149,7 @@ class EmulatedRig:
         self._failed = wrong is not None
         self._vacuum.leak = faults.share("vacuum_leak", since)
         self._vacuum.stuck = faults.active("gauge_stuck", since) is not None
+        self._vacuum.no_number = faults.active("gauge_nan", since) is not None
 
     def _move(self, now: float) -> None:
         step, spools = self.plant.step_s, self._spools

@@ -15,12 +15,13 @@ class VacuumLine:
     """Regulator, line and gauge, in kPa below the atmosphere.
 
     Attributes:
-        leak: share of the vacuum that the line loses; `stuck`, whether the gauge repeats its last value.
+        leak: share of the vacuum that the line loses; `stuck`, whether the gauge repeats its last value, `no_number`,
+            whether it says none.
     """
 
     def __init__(self, line: Line):
         self.line = line
-        self.leak, self.stuck = 0.0, False
+        self.leak, self.stuck, self.no_number = 0.0, False, False
         self.vacuum_kpa = 0.0
         self._wanted = self._shown = 0.0
         self._held = b""
@@ -38,6 +39,8 @@ class VacuumLine:
 
     def _answer(self, words: list[str]) -> str:
         if words == ["P"]:
+            if self.no_number:
+                return "P nan"
             self._shown = self._shown if self.stuck else self.vacuum_kpa
             return f"P {self._shown:.4f}"
         try:

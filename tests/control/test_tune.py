@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from ljjax.control.problem import FAILED, Problem, cost
 from ljjax.control.refusals import UNIQUE
 from ljjax.control.robots import sample
 from ljjax.control.spec import MEASURES, Requirement, Spec, Target, default, load
+from ljjax.control.surrogate import KEPT, fit
 from ljjax.control.tuning import tune
 from ljjax.errors import InputError
 from ljjax.law.parts import USED
@@ -54,6 +56,28 @@ def tuned(designs, robot):
     )
     assert said == [("tuning", k + 1, 8) for k in range(8)]
     return found
+
+
+# --- the surrogate
+
+
+def test_a_surrogate_goes_through_values_and_derivatives_and_foresees_what_lies_between():
+    rng = np.random.default_rng(0)
+
+    def truth(u):
+        return jnp.stack([jnp.sin(2 * u[0]) + u[1] ** 2, jnp.exp(u[0] * u[1] - u[2])])
+
+    points = rng.random((KEPT - 4, 3))
+    values = np.array(jax.vmap(truth)(jnp.asarray(points)))
+    slopes = np.array(jax.vmap(jax.jacfwd(truth))(jnp.asarray(points)))
+    guess = fit(points, values, slopes)
+    for u in points[:3]:
+        np.testing.assert_allclose(guess.at(jnp.asarray(u)), truth(u), atol=5e-3)
+        np.testing.assert_allclose(jax.jacfwd(guess.at)(jnp.asarray(u)), jax.jacfwd(truth)(jnp.asarray(u)), atol=0.05)
+    between = 0.5 * (points[0] + points[1])
+    alone = fit(points, values, np.zeros_like(slopes))  # a surrogate that believes wrong slopes does worse
+    off, worse = (np.abs(np.asarray(g.at(jnp.asarray(between))) - truth(between)).max() for g in (guess, alone))
+    assert off < 1e-2 and off < worse / 3
 
 
 # --- measures

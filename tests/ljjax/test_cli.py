@@ -135,7 +135,7 @@ REFUSED: dict[str, tuple[str, list[str]]] = {
     "a mapping without a unit": (
         "fit steady.mcap --mapping no_unit.toml --out new", ["no_unit.toml, line 3: [signals.theta] unit: is missing"],
     ),
-    "no such mapping": ("fit steady.mcap --mapping none.toml --out new", ["none.toml: no such mapping"]),
+    "no such mapping": ("fit steady.mcap --mapping none.toml --out new", ["none.toml: no such file; give a mapping"]),
     "a mapping of nothing": ("fit steady.mcap --mapping whole.toml --out new", ["steady.mcap: none of the topics"]),
     "one pressure": ("fit one.mcap --out new", ["elastic.c1, elastic.c2 cannot be found", "20 kPa", "--freeze"]),
     "two pressures": ("fit two.mcap --out new", ["elastic.c1 cannot be found", "0, 40 kPa", "--freeze elastic.c1"]),

@@ -207,7 +207,7 @@ BAD = {
     "half a pair": (signal("tendon_left", **THETA | {"unit": "N"}), "goes together with tendon_right"),
     "gap in segments": (signal("q1", **THETA) + signal("q3", **THETA), "without a gap"),
     "theta and q1": (signal("q1", **THETA) + signal("theta", **THETA), "not both"),
-    "no TOML": ("= 3", "is no TOML"),
+    "no TOML": ("= 3", "not TOML"),
     "no such joint": (signal("theta", **THETA | {"path": "position[name=c]"}), "'c' 0 times in name"),
     "no such field": (signal("theta", **THETA | {"path": "angle"}), "has no angle"),
     "no such index": (signal("theta", **THETA | {"path": "position[2]"}), "no item 2"),
@@ -242,7 +242,7 @@ def test_a_relative_pressure_needs_the_atmosphere(log: Path):
 def test_another_version_and_a_missing_file(log: Path):
     with pytest.raises(InputError, match="expected 'ljjax.mapping/1'"):
         through(log, HEAD.replace("mapping/1", "mapping/2") + signal("theta", **THETA))
-    with pytest.raises(InputError, match="no such mapping file"):
+    with pytest.raises(InputError, match="no such file; give a mapping file"):
         read(log, log.with_name("none.toml"))
 
 

@@ -1,15 +1,22 @@
 """An emulated rig around a robot that is a spring, so that tests of the drivers need no JAX and no model."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from benchmarks.rig_faults import Spring
+from ljjax.rig.config import Limits
 from ljjax.rig.emulator.rig import EmulatedRig
 from ljjax.rig.robot import Reading
+from ljjax.rig.sensors import Sensed
 
 PATIENCE_S = 60.0
 """How long a test waits for what must come, on a machine with other work."""
+
+
+LIMITS = Limits(30.0, 200.0, 40.0, 50.0, 0.6)
 
 
 class Parts(NamedTuple):
@@ -18,22 +25,8 @@ class Parts(NamedTuple):
     servos: dict[str, Any]
     camera: dict[str, Any]
     pressure: dict[str, Any]
-
-
-class Spring:
-    """Two segments whose bend follows the net tension, 0.02 rad a newton."""
-
-    step_s = 0.005
-    half_length_m = 0.05
-    lever_arm_m = 0.02
-    bend = 0.0
-
-    @property
-    def joints(self) -> tuple[float, ...]:
-        return (self.bend / 2,) * 2
-
-    def advance(self, left_n: float, right_n: float, vacuum_kpa: float) -> None:
-        self.bend += 0.1 * (0.02 * (left_n - right_n) - self.bend)
+    limits: Limits = LIMITS
+    sensors: Mapping[str, Any] = MappingProxyType({})
 
 
 @contextmanager
@@ -47,7 +40,8 @@ def config(rig: EmulatedRig, *parts: str) -> Parts:
     tables = rig.tables()
     tables["servos"] |= {"watchdog_ms": 2000.0, "reply_ms": 60.0}
     tables["camera"] |= {"wait_s": PATIENCE_S}
-    return Parts(**{name: tables[name] if name in parts or not parts else {} for name in tables})
+    chosen = {name: tables[name] if name in parts or not parts else {} for name in tables}
+    return Parts(chosen["servos"], chosen["camera"], chosen["pressure"])
 
 
 def until(condition: Callable[[], object], meanwhile: Callable[[], object] = lambda: None) -> None:
@@ -63,5 +57,5 @@ def close(a: float, b: float, within: float) -> bool:
     return abs(a - b) <= within
 
 
-def named(reading: Reading, text: str) -> bool:
+def named(reading: Reading | Sensed, text: str) -> bool:
     return any(text in fault for fault in reading.faults)

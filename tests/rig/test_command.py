@@ -67,7 +67,7 @@ REFUSED = {
     "no time": ("run LAW --rig RIG --out new --theta-deg 5 --stiffness 5000 --seconds -1", "seconds = -1"),
     "no law": ("run none.json --rig RIG --out new --theta-deg 5 --stiffness 5000", "none.json: no such file"),
     "no rig": ("run LAW --rig none.toml --out new --theta-deg 5 --stiffness 5000", "none.toml: no such file"),
-    "no plan": ("experiment none.toml --rig RIG --out new", "none.toml: cannot be read"),
+    "no plan": ("experiment none.toml --rig RIG --out new", "none.toml: no such file"),
     "no command": ("dance", "rig: no command 'dance'; expected run, experiment, check"),
     "an unknown option": ("check --rig RIG --quick", "rig check: "),
 }

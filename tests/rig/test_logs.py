@@ -56,8 +56,8 @@ def until(holds) -> None:
 def test_what_was_handed_over_is_in_the_log(tmp_path: Path):
     with recorder(tmp_path / "a.mcap") as log:
         for k in range(10):
-            log.tick(some(k, left_n=1.0, right_n=2.0, t_tendons=100 + 0.005 * k, probe_m=1e-3, probe_n=0.5,
-                          theta=math.nan if k == 4 else 0.01 * k))  # fmt: skip
+            log.tick(some(k, left_n=1.0, right_n=2.0, t_tendons=100 + 0.005 * k, t_probe=100 + 0.005 * k,
+                          probe_m=1e-3, probe_n=0.5, theta=math.nan if k == 4 else 0.01 * k))  # fmt: skip
         wrong = some(10)
         log.tick(wrong._replace(faults={"tag_lost": Fault("tag_lost", "no number", wrong.t)}))
         assert log.trouble() == ""
@@ -79,6 +79,15 @@ def _diagnostics(path: Path) -> list[bytes]:
 
     with path.open("rb") as stream:
         return [m.data for _, _, m in make_reader(stream).iter_messages(["/real/rig/diagnostics"])]
+
+
+def test_a_tension_that_a_motor_s_current_tells_is_not_logged_as_measured(tmp_path: Path):
+    with recorder(tmp_path / "a.mcap") as log:
+        for k in range(10):
+            log.tick(some(k, left_n=1.0, right_n=2.0, t_tendons=100 + 0.005 * k, by_current=1.0, left_ma=12.5))
+        log.end("completed")
+    assert "tendons" not in read(tmp_path / "a.mcap").signals
+    assert b"12.50" in _diagnostics(tmp_path / "a.mcap")[-1]
 
 
 def test_joints_are_logged_where_each_has_a_marker(tmp_path: Path):

@@ -103,7 +103,7 @@ def test_the_model_in_real_time_answers_the_same_drivers(tmp_path):
             tables = tomllib.loads(out.read_text())
             assert tables["schema"] == "ljjax.rig/1" and tables["driver"] == "reference"
             tables["camera"] |= {"wait_s": PATIENCE_S}
-            with ReferenceRig(Parts(*(tables[name] for name in Parts._fields))) as robot:
+            with ReferenceRig(Parts(tables["servos"], tables["camera"], tables["pressure"])) as robot:
                 until(lambda: robot.read().vacuum_kpa > 7, lambda: robot.command(8.0, 1.0, 10.0))
                 until(lambda: robot.read().theta > 0.05, lambda: robot.command(8.0, 1.0, 10.0))
                 until(lambda: close(robot.read().vacuum_kpa, 8.0, 0.5), lambda: robot.command(8.0, 1.0, 10.0))

@@ -4,14 +4,19 @@ import math
 import sys
 import threading
 import time
+import tomllib
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import pytest
 
 from ljjax.errors import InputError
+from ljjax.rig.config import parse
+from ljjax.rig.drivers import open_robot
 from ljjax.rig.robot import RigError
 from ljjax.rig.ros2 import Ros2Robot
+
+from .conftest import TOML
 
 T0 = time.monotonic()
 
@@ -78,7 +83,8 @@ def config(**ros2):
 
 
 def test_topics_in_and_out(node):
-    with Ros2Robot(config()) as robot:
+    text = tomllib.loads(TOML.replace('"mock"', '"ros2"', 1).format(safety="", mock="") + "[ros2]\nwait_s = 60.0\n")
+    with open_robot(parse(text | {"p_atm_pa": 100_000}, "rig.toml")) as robot:
         shape = robot.read()
         assert shape.theta == pytest.approx(0.15) and shape.joints == (0.1, 0.2)
         assert abs(shape.t_shape - time.monotonic()) < 60 and math.isnan(shape.left_n)
