@@ -134,7 +134,8 @@ def run(out: Path, effect: str, quick: bool) -> None:
     out.mkdir(parents=True, exist_ok=True)
     text = (OCTROBOT / "nominal.toml").read_text(encoding="utf-8")
     start = out / "start.toml"  # what the user knows: geometry and starting values
-    start.write_text(text.replace("segments = 6", "segments = 2"), encoding="utf-8")
+    known = '\n[fit]\nfrozen = ["chain.segment_mass_kg"]\n'  # it was weighed
+    start.write_text(text.replace("segments = 6", "segments = 2") + known, encoding="utf-8")
     for known, own in PLANT.items():
         text = text.replace(known, own)
     hidden = out / "hidden.toml"

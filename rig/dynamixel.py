@@ -70,7 +70,7 @@ class Servos:
         self._port: Any = None
         self._thread: threading.Thread | None = None
         self._changed = threading.Condition()
-        self._goal: Pair | None = None
+        self._goal: tuple[int, int] | None = None
         self._ending = self._armed = False
         self._last = Tendons()
         self._faults: dict[str, None] = {}
@@ -106,8 +106,9 @@ class Servos:
         """What the servos said in the tick of the last command; before the first, lately."""
         return self._last._replace(faults=tuple(self._faults))
 
-    def command(self, left_n: float, right_n: float) -> None:
-        """Tensions wanted [N]; returns at once. The first one takes torque on and arms the watchdog.
+    def command(self, left_n: float, right_n: float) -> Pair:
+        """Tensions wanted [N]; returns at once those of the nearest units of current. The first one takes torque on and
+        arms the watchdog.
 
         Raises:
             RigError: not connected, or the bus is gone.
@@ -116,9 +117,15 @@ class Servos:
             raise RigError("servos: not connected; call connect first")
         if not self._thread.is_alive():
             raise RigError(next(iter(self._faults), "servos: the bus thread has ended; connect again"))
+        left, right = self._units(left_n), self._units(right_n)
         with self._changed:
-            self._goal = left_n, right_n
+            self._goal = left, right
             self._changed.notify()
+        return self.spools.tension_n(left * xm430.CURRENT_MA), self.spools.tension_n(right * xm430.CURRENT_MA)
+
+    def _units(self, tension_n: float) -> int:
+        """The current for a tension, in units."""
+        return min(round(self.spools.current_ma(tension_n) / xm430.CURRENT_MA), self._most_units)
 
     def stop(self) -> None:
         """Goal currents 0, torque off, bus closed. What the bus no longer carries, the watchdog does. Never raises."""
@@ -131,7 +138,7 @@ class Servos:
         if self._port is None:
             return
         with contextlib.suppress(Exception):
-            self._send((0.0, 0.0))
+            self._send((0, 0))
         for side in (0, 1):
             with contextlib.suppress(Exception):
                 self._write(side, xm430.TORQUE, 0)
@@ -212,11 +219,10 @@ class Servos:
                 said = f"register {register.address} refused {value}: {xm430.STATUS.get(error & 0x7F, error)}"
         raise RigError(f"{self._name(side)}: {said}")
 
-    def _send(self, goal: Pair) -> None:
+    def _send(self, goal: tuple[int, int]) -> None:
         """Both goal currents in one packet, which no servo answers: one that is lost, the next tick replaces."""
         self._write_goals.clearParam()
-        for side, tension in enumerate(goal):
-            pull = min(round(self.spools.current_ma(tension) / xm430.CURRENT_MA), self._most_units)
+        for side, pull in enumerate(goal):
             units = pull * self.spools.direction[side]
             self._write_goals.addParam(self.ids[side], list((units & 0xFFFF).to_bytes(2, "little")))
         self._write_goals.txPacket()

@@ -151,13 +151,15 @@ def _loop(task: Task, robot: Robot, config: Config, log: Log, clock: Clock, vent
             except (InputError, ArithmeticError) as error:
                 watch.latch("task", str(error), now)
                 state = SAFE
+        taken = None
         if state != WAIT:
             sent = gate.let(now, *wanted, releasing=state >= RAMP_OUT)
             try:
-                robot.command(*sent)
+                taken = robot.command(*sent)
             except (InputError, OSError) as error:
                 watch.latch("hardware", f"takes no command: {error}", now)
-        log.tick(Tick(now, state, late, busy, missed, watch.rejected, sent, reading, watch.faults))
+        told = Sent(*(taken or sent[:2]), sent.vacuum)
+        log.tick(Tick(now, state, late, busy, missed, watch.rejected, told, reading, watch.faults))
 
         ticks += 1
         busy = clock.now() - now

@@ -81,11 +81,12 @@ class ReferenceRig(Robot):
             faults=(*tendons.faults, *shape.faults, *gauge.faults, *sensed.faults),
         )
 
-    def command(self, left_n: float, right_n: float, vacuum_kpa: float) -> None:
-        """Tensions [N] and vacuum [kPa] wanted; hands them to the parts' threads. Raises RigError for a dead bus."""
+    def command(self, left_n: float, right_n: float, vacuum_kpa: float) -> tuple[float, float]:
+        """Tensions [N] and vacuum [kPa] wanted; hands them to the parts' threads. Returns the tensions in whole units
+        of current. Raises RigError for a dead bus."""
         if self._vacuum is not None:
             self._vacuum.command(vacuum_kpa)
-        self._servos.command(left_n, right_n)
+        return self._servos.command(left_n, right_n)
 
     def stop(self, vent: bool = False) -> None:
         """Tensions off first, then the vacuum kept or vented, then the camera. Never raises."""

@@ -69,8 +69,9 @@ class Robot(Protocol):
         """The latest of every sensor."""
         ...
 
-    def command(self, left_n: float, right_n: float, vacuum_kpa: float) -> None:
-        """Tensions [N] and vacuum [kPa] wanted from now on."""
+    def command(self, left_n: float, right_n: float, vacuum_kpa: float) -> tuple[float, float] | None:
+        """Tensions [N] and vacuum [kPa] wanted from now on. Returns the tensions as the hardware takes them, rounded to
+        its units, which is what the log says was commanded; None where they are taken as they are."""
         ...
 
     def stop(self, vent: bool = False) -> None:

@@ -6,21 +6,12 @@ import math
 
 import numpy as np
 
-CODE = 0xD5D628584
-"""The 36 bits of the family's tag 0, row by row from the top, 1 for white."""
-CELLS = 10
-"""Cells across the tag: six of data, the black border, the white one."""
+from ljjax.rig.refine import CELLS, bitmap, blurred
+
 DARK, LIGHT, BACKGROUND = 25.0, 225.0, 110.0
-_FINE = 16
-
-
-def bitmap() -> np.ndarray:
-    """(10, 10) the tag's cells, 1 for white."""
-    cells = np.ones((CELLS, CELLS))
-    cells[1:-1, 1:-1] = 0
-    bits = [CODE >> (35 - i) & 1 for i in range(36)]
-    cells[2:-2, 2:-2] = np.reshape(bits, (6, 6))
-    return cells
+LENS_PX = 0.6
+"""Standard deviation of what lens and pixel blur [px]."""
+_FINE = 40
 
 
 class TagPainter:
@@ -34,11 +25,7 @@ class TagPainter:
 
     def __init__(self, width: int = 640, height: int = 400, cell_px: float = 5.0, noise: float = 2.0, seed: int = 0):
         self.width, self.height, self.cell_px = width, height, cell_px
-        fine = np.kron(bitmap(), np.ones((_FINE, _FINE)))
-        blur = max(1, round(_FINE / cell_px))  # what a pixel averages over
-        for axis in (0, 1):
-            fine = np.mean([np.roll(fine, i - blur // 2, axis) for i in range(blur)], axis=0)
-        self._texture = DARK + (LIGHT - DARK) * fine
+        self._texture = DARK + (LIGHT - DARK) * blurred(bitmap(), _FINE, LENS_PX / cell_px)
         rng = np.random.default_rng(seed)
         self._grounds = [BACKGROUND + noise * rng.standard_normal((height, width)) for _ in range(4)]
         self._grounds = [np.clip(x, 0, 255).astype(np.uint8) for x in self._grounds]

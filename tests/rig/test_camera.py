@@ -30,7 +30,7 @@ def test_the_tag_drawn_is_found_with_its_place_and_angle():
         if seen is not None:  # from place to place it may jump out of the region that is searched
             assert math.hypot(seen.x - x, seen.y - y) < 1.5 and close(seen.size, 8 * painter.cell_px, 1.0)
         errors.append(eye.look(Frame(k, picture)) - angle)
-    assert np.sqrt(np.nanmean(np.square(errors))) < 0.004 and np.nanmax(np.abs(errors)) < 0.015  # rad, of q_Σ
+    assert np.sqrt(np.nanmean(np.square(errors))) < 0.0008 and np.nanmax(np.abs(errors)) < 0.004  # rad, of q_Σ
     assert np.mean(np.isnan(errors)) < 0.5
     assert TagFinder(1).find(painter.paint(320, 200, 0.0)) is None  # another tag
 

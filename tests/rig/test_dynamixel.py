@@ -31,6 +31,7 @@ def test_a_tension_commanded_is_the_one_the_tendon_has(rig, servos):
     until(lambda: close(servos.read().n[0], 20.0, 0.3), lambda: servos.command(20.0, 5.0))
     step_n = xm430.CURRENT_MA / 1000 * servos.spools.torque_nm_a / servos.spools.radius_m
     assert close(rig.tensions[0], 20.0, step_n) and close(rig.tensions[1], 5.0, step_n)
+    assert servos.command(20.0, 5.0) == pytest.approx(rig.tensions)  # what is logged is what was sent
     until(lambda: close(servos.read().m[0], 0.02 * 0.3, 2e-4), lambda: servos.command(20.0, 5.0))
     said = servos.read()
     assert said.m[1] == pytest.approx(-said.m[0], abs=1e-4)  # the other tendon pays out, a motor that turns backwards
@@ -44,6 +45,14 @@ def test_no_current_pushes_and_none_passes_the_limit(rig):
     )
     assert servos.spools.current_ma(1e9) == 100.0
     assert servos.spools.tension_n(servos.spools.current_ma(3.0)) == pytest.approx(3.0)
+
+
+def test_rounding_to_units_of_current_never_passes_the_limit_of_tension(rig):
+    servos = Servos(config(rig).servos, most_n=10.0)
+    servos.connect()
+    told = [servos.command(10.0 + 0.1 * k, 9.8 + 0.01 * k)[side] for k in range(20) for side in (0, 1)]
+    servos.stop()
+    assert 9.0 < max(told) <= 10.0
 
 
 def test_stop_takes_tension_and_torque_off(rig, servos):

@@ -23,6 +23,7 @@ from ljjax.logs.reader import read_attachment
 from ljjax.rig import experiments
 from ljjax.rig.gate import Sent
 from ljjax.rig.loop import RUN, Tick
+from ljjax.rig.mock import MockRobot
 from ljjax.rig.recorder import Recorder
 from ljjax.rig.robot import Reading
 from ljjax.rig.safety import Fault
@@ -189,6 +190,20 @@ def test_a_law_on_the_mock_arrives_and_its_log_holds_law_and_rig(law_file: Path,
     assert abs(np.interp(begun + 2.8, t, theta) - 0.12) < 0.01
     tensions = run.signals["cmd_tendons"].value
     assert tensions.max() <= 30 and tensions.min() >= 0 and (tensions[-1] == 0).all()
+
+
+def test_what_is_logged_as_commanded_is_what_the_hardware_takes(tmp_path: Path):
+    clock, about = FakeClock(), configured()
+
+    class Coarse(MockRobot):
+        def command(self, left_n: float, right_n: float, vacuum_kpa: float) -> tuple[float, float]:
+            super().command(round(left_n), round(right_n), vacuum_kpa)
+            return round(left_n), round(right_n)
+
+    job = experiments.parse(_plan("triangle", tension_n=6.0, seconds=2.0), "p", about.limits).experiments[0]
+    run = read(record(job, Coarse(about.mock, clock.now), about, tmp_path, clock=clock).path)
+    told = run.signals["cmd_tendons"].value
+    assert (told == np.round(told)).all() and told.max() == 6.0
 
 
 def test_stamps_stay_in_order_when_the_wall_clock_is_set_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
