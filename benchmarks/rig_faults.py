@@ -20,12 +20,11 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from benchmarks.rig_timing import mock_law
+from benchmarks.rig_parts import Spring, emulated, mock_law
 from ljjax.law.file import content, dumps
 from ljjax.logs import read
 from ljjax.rig.emulator.rig import EmulatedRig
@@ -37,7 +36,7 @@ LIMITS = {
     "vacuum_slew_kpa_s": 50.0,
     "theta_max_rad": 0.6,
 }
-SECONDS, BEGIN_S, RATE_HZ = 8.0, 2.0, 100.0
+SECONDS, BEGIN_S = 8.0, 2.0
 PATIENCE_S = 60.0
 """How long anything may take before a case is given up."""
 SCHEDULE = 'schema = "ljjax.schedule/1"\nseconds = {seconds}\n'
@@ -49,29 +48,6 @@ time.time = lambda: time.time_ns() * 1e-9
 from ljjax.cli import main
 sys.exit(main())"""
 """The command under a wall clock that goes back by an hour after 5 s."""
-
-
-class Spring:
-    """Two segments whose bend follows the net tension, 0.02 rad a newton; remembers the largest tension."""
-
-    step_s = 0.005
-    half_length_m = 0.05
-    lever_arm_m = 0.02
-    bend = 0.0
-    most_n = 0.0
-    slack_since = -math.inf
-
-    @property
-    def joints(self) -> tuple[float, ...]:
-        return (self.bend / 2,) * 2
-
-    def advance(self, left_n: float, right_n: float, vacuum_kpa: float) -> None:
-        self.bend += 0.1 * (0.02 * (left_n - right_n) - self.bend)
-        self.most_n = max(self.most_n, left_n, right_n)
-        if left_n or right_n:
-            self.slack_since = math.inf
-        else:
-            self.slack_since = min(self.slack_since, time.monotonic())
 
 
 class Case(NamedTuple):
@@ -140,13 +116,6 @@ CASES = (
     Case("the process is killed (−9)", lambda rig, pid: os.kill(pid, signal.SIGKILL), cut=True),
     Case("the law was edited by hand", lambda rig, pid: None),
 )
-
-
-@contextmanager
-def emulated(rate_hz: float = RATE_HZ) -> Iterator[EmulatedRig]:
-    """An emulated rig around a spring, served by a thread."""
-    with EmulatedRig(Spring(), rate_hz=rate_hz) as rig:
-        yield rig
 
 
 def tried(case: Case, folder: Path, safety: str = "", servos: str = "") -> Told:

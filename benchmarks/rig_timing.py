@@ -1,13 +1,15 @@
-"""`python -m benchmarks.rig_timing [--seconds 20]`: how long a tick of a law takes, and how late the rig's loop comes.
+"""`python -m benchmarks.rig_timing [--seconds 20]`: how long a tick of a law takes, how late the rig's loop comes, how
+long after a picture its angle is there, and how true it is.
 
-Beside it, in turns of a second each, a bare loop that waits for the same deadlines and does nothing: what it is late is
-the machine's, not ours. Writes out/bench/rig.json.
+Beside the loop, in turns of a second each, a bare loop that waits for the same deadlines and does nothing: what it is
+late is the machine's, not ours. Writes out/bench/rig.json.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import platform
 import tempfile
@@ -15,37 +17,24 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from benchmarks.rig_parts import PERIOD_S, emulated, mock_law
 from ljjax import law
 from ljjax.law import Command, Law, Measured
-from ljjax.law.parts import Kind
 from ljjax.rig import config
+from ljjax.rig.camera import TagCamera
 from ljjax.rig.clock import Clock
+from ljjax.rig.emulator.tag import TagPainter
+from ljjax.rig.eye import TagFinder
 from ljjax.rig.loop import RUN, Tick, run
 from ljjax.rig.mock import MockRobot
 from ljjax.rig.recorder import Recorder
 from ljjax.rig.task import Follow, Point
 
-PERIOD_S = 0.005
 META = {"run_id": "timing", "robot_id": "mock", "experiment": "timing", "p_atm_pa": "101325", "start_utc": "2026-01-01"}
 LIMITS = config.Limits(30.0, 200.0, 40.0, 50.0, 0.6)
 NEVER = config.Safety(shape_s=60, tendons_s=60, pressure_s=60, late_s=60, missed_share=1e6, ramp_s=0.1, log_s=60)
-
-
-def mock_law(kind: Kind = "observer") -> Law:
-    """A law for the mock's body: two segments, no gravity, friction that hardly matters; by default the costliest."""
-    root = 40.0 / (40.0 + 1e-4) ** 0.5
-    return Law(
-        kind,
-        PERIOD_S,
-        law.Gains(0.3, 20.0, 0.02, 1.0, 0.0, 0.002, 0.5, 0.02),
-        law.Robot(2.0, 0.02, 0.0, 1.0, 1.6, 0.0025, 0.003, 0.045),
-        law.Limits(0.5, 30.0, 2.0, 200.0, 40.0, 50.0, 0.25, 3000.0, 9000.0),
-        law.Tables(
-            tuple(2.0 + 0.08 * 40.0 * (k / 20.0) ** 2 for k in range(21)),
-            tuple(12.0 + k for k in range(21)),
-            (0.0, 0.5 * root, root),
-        ),
-    )
 
 
 def spread(seconds: list[float]) -> dict[str, float]:
@@ -78,6 +67,49 @@ def bare(seconds: float) -> list[float]:
         late.append(now - deadline)
         deadline += PERIOD_S * int((now - deadline) / PERIOD_S)
     return late
+
+
+def camera(seconds: float) -> list[float]:
+    """How long after a picture was taken its angle can be read, from an emulated camera at 100 Hz [s]."""
+    took = []
+    with emulated() as rig:
+        eye = TagCamera(rig.tables()["camera"])
+        eye.connect()
+        end, last = time.monotonic() + seconds, -math.inf
+        while (now := time.monotonic()) < end:
+            if (shape := eye.read()).t > last:
+                last = shape.t
+                took.append(now - last)
+            time.sleep(2e-4)
+        eye.stop()
+    return took
+
+
+def tags(count: int = 200) -> dict[str, Any]:
+    """Time to find a tag near where it was and in the whole picture, and the error of its angle: as the detector's
+    corners have it, and held against the tag's pattern."""
+    painter, rng = TagPainter(), np.random.default_rng(0)
+    near, whole, corners = TagFinder(0), [], TagFinder(0, refine=False)
+    took, errors, raw = [], [], []
+    for k in range(count):
+        angle = float(rng.uniform(-0.3, 0.3))
+        picture = painter.paint(320 + rng.uniform(-1, 1), 250 + rng.uniform(-1, 1), angle)
+        begun = time.perf_counter()
+        seen = near.find(picture)
+        took.append(time.perf_counter() - begun)
+        if k % 10 == 0:
+            begun = time.perf_counter()
+            TagFinder(0).find(picture)
+            whole.append(time.perf_counter() - begun)
+        rough = corners.find(picture)
+        if seen is not None and rough is not None:
+            errors.append(math.degrees(seen.angle - angle))
+            raw.append(math.degrees(rough.angle - angle))
+    return {
+        "tag_near_us": spread(took[1:]),
+        "tag_whole_us": spread(whole),
+        "tag_error_deg": {"rms": round(float(np.std(errors)), 4), "of corners": round(float(np.std(raw)), 4)},
+    }
 
 
 class Lateness:
@@ -120,6 +152,8 @@ def main() -> None:
         "loop_late_us": spread(ours["late"]),
         "bare_loop_late_us": spread(idle),
         "loop_busy_us": spread(ours["busy"]),
+        "picture_to_angle_us": spread(camera(chosen.seconds / 4)),
+        **tags(),
         "ticks": len(ours["late"]),
         "period_s": PERIOD_S,
         "machine": {"python": platform.python_version(), "cpus": os.cpu_count(), "load": os.getloadavg()},

@@ -39,6 +39,15 @@ RUNS = [
     {"protocol": "pressure_steps", "tension_n": 12.0, "vacuum_kpa": 25.0},
 ]
 """The experiments to identify it by."""
+PATIENT = """
+[safety]
+shape_s = 1.0
+tendons_s = 1.0
+log_s = 10.0
+late_s = 1.0
+missed_share = 0.9
+"""
+"""A computer that is busy with other things is late; here that harms nobody."""
 SPEC = """schema = "ljjax.spec/1"
 {targets}
 [loop]
@@ -56,7 +65,8 @@ weight = 1.0
 [vary]
 noise_rad = [2e-4, 6e-4]
 """
-ANGLES_DEG = (5.0, -4.0, 3.0)
+ANGLES_DEG = (5.0, 1.0, 4.0)
+"""Where the rig is sent, one after the other; the laws are tuned to steps as large."""
 
 
 def ljjax(*arguments: object) -> None:
@@ -83,12 +93,14 @@ class Rig:
         for line in self._process.stdout:
             print(line, end="", flush=True)
             if line.startswith("Written"):
+                with self.toml.open("a", encoding="utf-8") as file:
+                    file.write(PATIENT)
                 return self.toml
         sys.exit(self._process.wait() or 1)
 
     def __exit__(self, *_: object) -> None:
         self._process.terminate()
-        self._process.wait()
+        print(self._process.communicate()[0], end="", flush=True)  # says so where this machine was too slow
 
 
 def plan(path: Path, runs: list[dict], seconds: float) -> None:
@@ -129,52 +141,59 @@ def tracked(log: Path, hold_s: float, ramp_s: float = 1.0) -> tuple[float, float
     return float(np.sqrt(np.mean(error**2))), float(np.sqrt(np.mean(error[late] ** 2)))
 
 
+def laws_compared(rig: Path, out: Path, folder: Path, quick: bool) -> dict[str, tuple[float, float]]:
+    """A law tuned on the model without the effect and one with it, each proven and run on the rig: what they track."""
+    hold_s = 3.0 if quick else 5.0
+    models = {"before": folder / "base.toml", "after": folder / "model.toml"}
+    reaches = [reach(model, out / f"law_{name}.json") for name, model in models.items()]
+    low, high = max(low for low, _ in reaches), min(high for _, high in reaches)
+    stiffness = 0.6 * low + 0.4 * high
+    steps = np.diff((0.0, *ANGLES_DEG))
+    targets = "\n".join(f"[[targets]]\ntheta_rad = {math.radians(a)}\nstiffness_n_m = {stiffness}" for a in steps)
+    (out / "spec.toml").write_text(SPEC.format(targets=targets, seconds=hold_s), encoding="utf-8")
+    points = "\n".join(
+        f"[[points]]\nt_s = {hold_s * k}\ntheta_deg = {a}\nstiffness_n_m = {stiffness}"
+        for k, a in enumerate(ANGLES_DEG)
+    )
+    schedule = out / "schedule.toml"
+    schedule.write_text(f'schema = "ljjax.schedule/1"\nseconds = {hold_s * len(ANGLES_DEG)}\n{points}\n')
+    errors = {}
+    for name, model in models.items():
+        few = ["--samples", 2, "--iterations", 12, "--restarts", 1] if quick else []
+        ljjax("tune", model, "--law", "observer", "--spec", out / "spec.toml", "--out", out / f"tuned_{name}", *few)
+        law = out / f"tuned_{name}" / "law.json"
+        few = ["--samples", 64, "--sobol", 0, "--steps", 4] if quick else ["--samples", 500]
+        ljjax("robust", law, "--model", model, "--spec", out / "spec.toml", "--out", out / f"robust_{name}", *few)
+        ljjax("rig", "run", law, "--rig", rig, "--out", out / f"rig_{name}", "--schedule", schedule)
+        errors[name] = tracked(max((out / f"rig_{name}").glob("*.mcap")), hold_s)
+    return errors
+
+
 def run(out: Path, effect: str, quick: bool) -> None:
     """The whole circle, into the folder `out`."""
+    if (out / "runs").exists():
+        sys.exit(f"{out} holds an earlier circle; delete it, or choose another --out")
     out.mkdir(parents=True, exist_ok=True)
     text = (OCTROBOT / "nominal.toml").read_text(encoding="utf-8")
-    start = out / "start.toml"  # what the user knows: geometry and starting values
-    known = '\n[fit]\nfrozen = ["chain.segment_mass_kg"]\n'  # it was weighed
+    start = out / "start.toml"  # what the user knows: geometry and starting values; the mass, which was weighed
+    known = '\n[fit]\nfrozen = ["chain.segment_mass_kg"]\n'
     start.write_text(text.replace("segments = 6", "segments = 2") + known, encoding="utf-8")
-    for known, own in PLANT.items():
-        text = text.replace(known, own)
+    for given, own in PLANT.items():
+        text = text.replace(given, own)
     hidden = out / "hidden.toml"
     hidden.write_text(text, encoding="utf-8")
-    hold_s = 2.0 if quick else 4.0
     with Rig(hidden, out, effect) as rig:
         plan(out / "plan.toml", RUNS, 6.0 if quick else 12.0)
         ljjax("rig", "experiment", out / "plan.toml", "--rig", rig, "--out", out / "runs")
         ljjax("fit", out / "runs", "--model", start, "--out", out / "fit")
         ljjax("gap", out / "runs", "--model", start, "--out", out / "gap")
-        gap = diagnosed(out / "gap")
+        folder, gap = out / "gap", diagnosed(out / "gap")
         if gap["next_experiment"] is not None:
-            ljjax("rig", "experiment", out / "gap" / "gap.json", "--rig", rig, "--out", out / "runs")
-            ljjax("gap", out / "runs", "--model", start, "--out", out / "gap_again")
-            gap = diagnosed(out / "gap_again")
-        folder = out / ("gap" if gap["next_experiment"] is None else "gap_again")
-        models = {"before": folder / "base.toml", "after": folder / "model.toml"}
-        reaches = [reach(model, out / f"law_{name}.json") for name, model in models.items()]
-        low, high = max(low for low, _ in reaches), min(high for _, high in reaches)
-        stiffness = 0.6 * low + 0.4 * high
-        targets = "\n".join(
-            f"[[targets]]\ntheta_rad = {math.radians(a)}\nstiffness_n_m = {stiffness}" for a in ANGLES_DEG
-        )
-        (out / "spec.toml").write_text(SPEC.format(targets=targets, seconds=hold_s), encoding="utf-8")
-        points = "\n".join(
-            f"[[points]]\nt_s = {hold_s * k}\ntheta_deg = {a}\nstiffness_n_m = {stiffness}"
-            for k, a in enumerate(ANGLES_DEG)
-        )
-        schedule = out / "schedule.toml"
-        schedule.write_text(f'schema = "ljjax.schedule/1"\nseconds = {hold_s * len(ANGLES_DEG)}\n{points}\n')
-        errors = {}
-        for name, model in models.items():
-            few = ["--samples", 2, "--iterations", 15, "--restarts", 1] if quick else []
-            ljjax("tune", model, "--law", "observer", "--spec", out / "spec.toml", "--out", out / f"tuned_{name}", *few)
-            law = out / f"tuned_{name}" / "law.json"
-            few = ["--samples", 64, "--sobol", 0, "--steps", 4] if quick else ["--samples", 500]
-            ljjax("robust", law, "--model", model, "--spec", out / "spec.toml", "--out", out / f"robust_{name}", *few)
-            ljjax("rig", "run", law, "--rig", rig, "--out", out / f"rig_{name}", "--schedule", schedule)
-            errors[name] = tracked(max((out / f"rig_{name}").glob("*.mcap")), hold_s)
+            ljjax("rig", "experiment", folder / "gap.json", "--rig", rig, "--out", out / "runs")
+            folder = out / "gap_again"
+            ljjax("gap", out / "runs", "--model", start, "--out", folder)
+            gap = diagnosed(folder)
+        errors = laws_compared(rig, out, folder, quick)
     print(f"\neffect found: {', '.join(gap['selected']) or 'none'} (hidden: {effect})")
     for name, (whole, late) in errors.items():
         print(f"tracking error {name}: {whole:.3f}° RMS, {late:.3f}° in the second half of each hold")

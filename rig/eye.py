@@ -41,7 +41,7 @@ class TagFinder:
     """Finds one tag of the family tag36h11, at first near where it was; tag 0 to a hundredth of a pixel
     (`ljjax.rig.refine`). Raises RigError where no detector is there."""
 
-    def __init__(self, tag_id: int):
+    def __init__(self, tag_id: int, refine: bool = True):
         try:
             package: Any = importlib.import_module("pupil_apriltags")
         except ImportError:
@@ -54,7 +54,7 @@ class TagFinder:
         self._near: Any = Kept(families="tag36h11", nthreads=1, quad_decimate=1.0)
         self._whole: Any = Kept(families="tag36h11", nthreads=1, quad_decimate=2.0)
         self._id = tag_id
-        self._refiner = Refiner(bitmap()) if tag_id == 0 else None
+        self._refiner = Refiner(bitmap()) if refine and tag_id == 0 else None
         self._last: Seen | None = None
 
     def find(self, picture: np.ndarray) -> Seen | None:

@@ -124,7 +124,7 @@ class MockRobot(Robot):
         self._reading = last._replace(**new)
         return self._reading
 
-    def command(self, left_n: float, right_n: float, vacuum_kpa: float) -> None:
+    def command(self, left_n: float, right_n: float, vacuum_kpa: float) -> tuple[float, float] | None:
         """Tensions and vacuum from now on."""
         if self._wrong("unplugged"):
             raise RigError("mock: servo 1 does not answer; check its cable")

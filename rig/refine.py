@@ -50,7 +50,7 @@ def blurred(cells: np.ndarray, fine: int, blur: float) -> np.ndarray:
     reach = round(3 * blur * fine)
     bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (blur * fine)) ** 2)
     for axis in (0, 1):
-        pattern = np.apply_along_axis(np.convolve, axis, pattern, bell / bell.sum(), "same")
+        pattern = np.apply_along_axis(lambda row: np.convolve(row, bell / bell.sum(), "same"), axis, pattern)
     return pattern[fine:-fine, fine:-fine]
 
 

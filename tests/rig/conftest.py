@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.rig_timing import mock_law
+from benchmarks.rig_parts import mock_law
 from ljjax.law import Law
 from ljjax.law.file import content, dumps
 from ljjax.law.parts import Kind

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from benchmarks.rig_faults import Spring
+from benchmarks.rig_parts import Spring
 from ljjax.rig.config import Limits
 from ljjax.rig.emulator.rig import EmulatedRig
 from ljjax.rig.robot import Reading
