@@ -191,8 +191,8 @@ class _Aim:
 
     def learn(self, u: np.ndarray, loss: float) -> None:
         if np.isfinite(self.loss):
-            hoped = np.log(self.loss / self.predicted)
-            held = np.log(self.loss / loss) / max(hoped, 1e-12)
+            hoped = np.log(self.loss) - np.log(self.predicted)
+            held = (np.log(self.loss) - np.log(loss)) / max(hoped, 1e-12)
             if held > 0.7:
                 self.radius = min(2 * self.radius, WIDEST)
             elif held < 0.25:
