@@ -29,6 +29,18 @@ class Trial:
         return len(self.start)
 
 
+CAUTIOUS = 0.3
+"""The share of a step of first order that is still taken where the whole one has gone astray."""
+
+
+def cautious(trial: Trial, kinds: Sequence[type[Effect]]) -> Trial:
+    """The same trial begun nearer to where its effects vanish; their forms as they were."""
+    nulls = {path(k, n): float(k.fields()[n]["null"]) for k in kinds for n in k.sizes()}
+    return Trial(
+        trial.ids, {p: nulls[p] + CAUTIOUS * (x - nulls[p]) if p in nulls else x for p, x in trial.start.items()}
+    )
+
+
 def universal(model: Model, kinds: Sequence[type[Effect]]) -> Model:
     """The model with every effect of `kinds` at its null: one program simulates all candidates."""
     return dataclasses.replace(without_effects(model), effects=tuple(kind() for kind in kinds))

@@ -12,7 +12,7 @@ import numpy as np
 from ljjax.fit import folds
 from ljjax.fit.windows import Motion
 from ljjax.gap import channels, judge, screening
-from ljjax.gap.candidates import Trial
+from ljjax.gap.candidates import CAUTIOUS, Trial, cautious
 from ljjax.gap.channels import Measured
 from ljjax.gap.screening import Screen
 from ljjax.gap.search import Refit, Study
@@ -27,6 +27,8 @@ AFRESH = 0.3
 """Where the best candidate leaves more than this share of the gap, the leaders are begun from the given model too."""
 HEARD = 3
 """How many effects that measured inputs show are begun as they show there."""
+ASTRAY = 0.98
+"""A candidate that leaves more than this share of the base's loss has found nothing, or not its way."""
 LEFT_OVER = 0.1
 """The share of the gap that is worth telling of where the effects found leave it."""
 FURTHER, PAIRS = 0.12, 0.25
@@ -121,9 +123,25 @@ class Inquiry:
             steps[trial] = step
         trials += self._heard()
         found = study.refit(self.base.model, trials, screen, steps, finish=4, sure=3)
-        if self.excess > judge.OPEN * self.floor and min((self.own_left(r) for r in found), default=1.0) > AFRESH:
-            found += self._afresh()
+        least = min((self.own_left(r) for r in found), default=1.0)
+        if self.excess > judge.OPEN * self.floor and least > FURTHER:
+            found += self._with_care(trials, steps, found)
+            found += self._afresh() if least > AFRESH else []
         return found
+
+    def _with_care(
+        self, trials: Sequence[Trial], steps: Mapping[Trial, np.ndarray], found: Sequence[Refit]
+    ) -> list[Refit]:
+        """Effects no form of which has come below `ASTRAY` of the base's loss though they vanish at it: the first step
+        has led them astray, so they are begun once more, nearer to the base."""
+        study = self.setting.study
+        least: dict[str, float] = {}
+        for r in found:
+            least[r.ids[0]] = min(r.total, least.get(r.ids[0], np.inf))
+        lost = [t for t in trials if least.get(t.ids[0], np.inf) > ASTRAY * self.base.total]
+        again = {t: cautious(t, study.kinds) for t in lost}
+        moves = {again[t]: CAUTIOUS * steps[t] for t in lost if t in steps}
+        return study.refit(self.base.model, list(again.values()), self.screen, moves, "with care", finish=2)
 
     def _afresh(self) -> list[Refit]:
         """Leaders once more, begun from the given model: a large effect bends the base's refit so far that effects

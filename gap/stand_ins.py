@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter
 from ljjax.effects.shapes import lagged, positive, turned
-from ljjax.gap.candidates import Trial
+from ljjax.gap.candidates import CAUTIOUS, cautious
 from ljjax.gap.search import Refit, Study
 
 BENT_RAD, KPA, LOAD_N, LONG_S, RATE = 0.15, 20.0, 10.0, 100.0, 0.05
@@ -195,8 +195,6 @@ class AtSensor(Effect):
 STAND_INS: tuple[type[Effect], ...] = (AtTendons, AtVacuum, AtBody, AtFriction, AtSensor)
 PLACES = {k.id: k.id.removeprefix("stand_in_") for k in STAND_INS}
 BLOCKS = {PLACES[k.id]: k.block for k in STAND_INS}
-CAUTIOUS = 0.3
-"""The share of the step of first order from which they begin: many terms at once carry it far beyond where it holds."""
 FINISH = 3
 """How many of them are refitted to their end."""
 
@@ -209,7 +207,7 @@ def stand_in(study: Study, base: Refit) -> dict[str, Refit]:
     trials, steps = [], {}
     for key in map(screen.best, screen.ids):
         trial, step = flexible.trial(screen, key)
-        trial = Trial(trial.ids, {path: CAUTIOUS * x for path, x in trial.start.items()})
+        trial = cautious(trial, STAND_INS)  # many terms at once carry the first step far beyond where it holds
         trials.append(trial)
         steps[trial] = CAUTIOUS * step
     found = flexible.refit(base.model, trials, screen, steps, "stand-ins", finish=FINISH)
