@@ -147,23 +147,22 @@ def laws_compared(rig: Path, out: Path, folder: Path, quick: bool) -> dict[str, 
     models = {"before": folder / "base.toml", "after": folder / "model.toml"}
     reaches = [reach(model, out / f"law_{name}.json") for name, model in models.items()]
     low, high = max(low for low, _ in reaches), min(high for _, high in reaches)
-    stiffness = 0.6 * low + 0.4 * high
-    steps = np.diff((0.0, *ANGLES_DEG))
-    targets = "\n".join(f"[[targets]]\ntheta_rad = {math.radians(a)}\nstiffness_n_m = {stiffness}" for a in steps)
-    (out / "spec.toml").write_text(SPEC.format(targets=targets, seconds=hold_s), encoding="utf-8")
-    points = "\n".join(
-        f"[[points]]\nt_s = {hold_s * k}\ntheta_deg = {a}\nstiffness_n_m = {stiffness}"
-        for k, a in enumerate(ANGLES_DEG)
-    )
-    schedule = out / "schedule.toml"
-    schedule.write_text(f'schema = "ljjax.schedule/1"\nseconds = {hold_s * len(ANGLES_DEG)}\n{points}\n')
-    errors = {}
-    for name, model in models.items():
+    wanted, steps, errors = 0.6 * low + 0.4 * high, np.diff((0.0, *ANGLES_DEG)), {}
+    for (name, model), (least, most) in zip(models.items(), reaches, strict=True):
+        stiffness = float(np.clip(wanted, 0.9 * least + 0.1 * most, 0.1 * least + 0.9 * most))
+        targets = "\n".join(f"[[targets]]\ntheta_rad = {math.radians(a)}\nstiffness_n_m = {stiffness}" for a in steps)
+        spec, schedule = out / f"spec_{name}.toml", out / f"schedule_{name}.toml"
+        spec.write_text(SPEC.format(targets=targets, seconds=hold_s), encoding="utf-8")
+        points = "\n".join(
+            f"[[points]]\nt_s = {hold_s * k}\ntheta_deg = {a}\nstiffness_n_m = {stiffness}"
+            for k, a in enumerate(ANGLES_DEG)
+        )
+        schedule.write_text(f'schema = "ljjax.schedule/1"\nseconds = {hold_s * len(ANGLES_DEG)}\n{points}\n')
         few = ["--samples", 2, "--iterations", 12, "--restarts", 1] if quick else []
-        ljjax("tune", model, "--law", "observer", "--spec", out / "spec.toml", "--out", out / f"tuned_{name}", *few)
+        ljjax("tune", model, "--law", "observer", "--spec", spec, "--out", out / f"tuned_{name}", *few)
         law = out / f"tuned_{name}" / "law.json"
         few = ["--samples", 64, "--sobol", 0, "--steps", 4] if quick else ["--samples", 500]
-        ljjax("robust", law, "--model", model, "--spec", out / "spec.toml", "--out", out / f"robust_{name}", *few)
+        ljjax("robust", law, "--model", model, "--spec", spec, "--out", out / f"robust_{name}", *few)
         ljjax("rig", "run", law, "--rig", rig, "--out", out / f"rig_{name}", "--schedule", schedule)
         errors[name] = tracked(max((out / f"rig_{name}").glob("*.mcap")), hold_s)
     return errors
