@@ -55,7 +55,7 @@ def blurred(cells: np.ndarray, fine: int, blur: float) -> np.ndarray:
 
 
 class Refiner:
-    """Holds pictures against one tag's pattern; about a millisecond a picture."""
+    """Holds pictures against one tag's pattern."""
 
     def __init__(self, cells: np.ndarray):
         fine = blurred(cells, FINE, BLUR)
