@@ -111,12 +111,16 @@ def _folds(inquiry: Inquiry, chosen: Refit) -> list[Fold]:
 
 
 def _equivalent(inquiry: Inquiry) -> list[list[str]]:
-    main, *others = inquiry.chosen.ids or ("",)
-    if inquiry.verdict != "listed_effect" or others:
+    if inquiry.verdict != "listed_effect":
         return []
-    alone = {i: inquiry.evidence.left[i] for i in inquiry.found.single}
-    group = judge.equivalents(alone, main, inquiry.evidence.unit)
-    return [group] if len(group) > 1 else []
+    ids, found, unit = inquiry.chosen.ids, inquiry.found, inquiry.evidence.unit
+    if len(ids) == 1:
+        groups = [judge.equivalents({i: inquiry.evidence.left[i] for i in found.single}, ids[0], unit)]
+    else:
+        least = {i: inquiry.left(found.best) for i in ids}
+        others = {i: {new: inquiry.left(r) for out, new, r in found.exchanged if out == i} for i in ids}
+        groups = [judge.equivalents({i: least[i], **others[i]}, i, unit) for i in ids]
+    return [group for group in groups if len(group) > 1]
 
 
 def _findings(inquiry: Inquiry) -> list[Finding]:

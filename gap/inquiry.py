@@ -68,6 +68,16 @@ class Found:
     joint: dict[tuple[str, ...], Refit]
     best: Refit
 
+    @property
+    def exchanged(self) -> list[tuple[str, str, Refit]]:
+        """Of several effects found, one of them, another in its place, and the refit with that."""
+        ids, out = set(self.best.ids), []
+        for key, r in self.joint.items():
+            new, gone = set(key) - ids, ids - set(key)
+            if len(new) == len(gone) == 1:
+                out.append((*gone, *new, r))
+        return out
+
 
 class Inquiry:
     """A diagnosis that has run.
@@ -217,7 +227,28 @@ class Inquiry:
             found.best = better
         if len(found.best.ids) > 2:
             found.best = self._pruned(found.best, unit)
+        if len(found.best.ids) > 1:
+            self._exchange(found)
         return found
+
+    def _exchange(self, found: Found) -> None:
+        """Each of several effects exchanged for those that promise most in its place: what was found first need not be
+        what fits best beside the others, nor the simplest that does."""
+        study, ids, unit = self.setting.study, found.best.ids, self._unit(found.best)
+        for out in ids:
+            rest = tuple(sorted(i for i in ids if i != out))
+            like = found.single.get(rest[0]) if len(rest) == 1 else found.joint.get(rest)
+            if like is None:
+                continue
+            on_top = study.screen(like)
+            begun = [study.trial(on_top, k, like) for k in self._ahead(on_top, SECOND)]
+            begun = [(t, step) for t, step in begun if tuple(sorted(t.ids)) not in found.joint]
+            for r in study.refit(like.model, [t for t, _ in begun], on_top, dict(begun), "exchanges", finish=2):
+                found.joint[tuple(sorted(r.ids))] = r
+        rivals = [r for key, r in found.joint.items() if len(key) == len(ids)]
+        least = max(min(self.left(r) for r in rivals), 0.0)
+        near = [r for r in rivals if self.left(r) <= judge.as_little(least, unit)]
+        found.best = min(near, key=lambda r: (r.trial.size, self.left(r)))
 
     def _pruned(self, best: Refit, unit: float) -> Refit:
         """Backward: without each of the effects, where the others do nearly as well without it."""
@@ -303,11 +334,15 @@ class Inquiry:
             least = self.left(found.best)
             alone = {i: left[i] for i in found.best.ids}
             least_alone = min(alone.values())
+            behind = {i: 0.15 * (x - least_alone) / max(max(alone.values()) - least, 1e-9) for i, x in alone.items()}
             for i in left:
                 if i in alone:  # the main one is that without which most is left
-                    left[i] = least + 0.15 * (alone[i] - least_alone) / max(max(alone.values()) - least, 1e-9)
+                    left[i] = least + behind[i]
                 else:
                     left[i] = left[i] / max(least_alone, 1e-9) * max(least_alone, 0.5)
+            for place, i, r in found.exchanged:
+                left[i] = min(left[i], self.left(r) + behind[place])
+                size[i] = sum(p.startswith(f"effects.{i}.") for p in r.trial.start)
         chance = judge.chance(self.null, max(self.gained.values(), default=0.0), self.one)
         count = len(self.setting.study.names)
         worse = (self.given.total - self.base.total) / max(self._variance(self.base), 1e-12)

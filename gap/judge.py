@@ -116,8 +116,13 @@ def verdict(probability: Mapping[str, float]) -> str:
 def equivalents(left: Mapping[str, float], main: str, unit: float) -> list[str]:
     """The candidates that leave no more than chance and `ALIKE` above what the main one leaves; itself first."""
     least = max(left[main], 0.0)
-    near = [i for i, x in left.items() if i != main and max(x, 0.0) <= ALIKE * least + 0.004 + 12 * unit]
+    near = [i for i, x in left.items() if i != main and max(x, 0.0) <= as_little(least, unit)]
     return [main, *sorted(near, key=lambda i: left[i])]
+
+
+def as_little(least: float, unit: float) -> float:
+    """The share up to which a leftover cannot be told from the least one."""
+    return ALIKE * least + 0.004 + 12 * unit
 
 
 def pairs_worth(first: float, second: float, unit: float) -> bool:

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import arm, bounded, lagged, play, turned
+from ljjax.effects.shapes import arm, bounded, lagged, play, positive, turned
 
 
 class ActuatorDelay(Effect):
@@ -20,55 +20,74 @@ class ActuatorDelay(Effect):
 
 
 class ActuatorDeadband(Effect):
-    """Stiction of gearbox and spool eats a share s of each tension's first d newtons: T − s T (1 + (T/d)^p)^(−1/p),
-    (T − d)₊ for s = 1 and a sharp edge, p → ∞."""
+    """Stiction of gearbox and spool eats a share s ± δ of each tension's first d newtons, each tendon with a motor of
+    its own: T − s T (1 + (T/d)^p)^(−1/p), (T − d)₊ for s = 1 and a sharp edge, p → ∞."""
 
     id, block, axes = "actuator_deadband", "actuation", ("load", "everywhere", "angle")
     share: jax.Array = parameter("1", 0.0, 0.0, 1.0, 0.5)
+    difference: jax.Array = parameter("1", 0.0, -0.5, 0.5, 0.2)
     band_n: jax.Array = shape("N", 1.0, 0.01, 50.0, (0.02, 0.05, 0.12), "tension")
     edge: jax.Array = shape("1", 8.0, 1.0, 8.0, (2.0, 8.0))
 
     def actuate(self, memory, u, now):
-        return tuple(t - self.share * bounded(t, self.band_n, self.edge) for t in u), memory
+        shares = self.share + self.difference, self.share - self.difference
+        left = [t - s * bounded(t, self.band_n, self.edge) for s, t in zip(shares, u, strict=True)]
+        return tuple(jnp.where(t > 0, positive(x), x) for t, x in zip(u, left, strict=True)), memory
 
 
 class ActuatorGain(Effect):
-    """The torque constant or the spool's radius is wrong: (1 + e ± d) T_cmd, each tendon with a motor of its own."""
+    """The torque constant or the spool's radius is wrong: (1 + e ± d ± w q_Σ) T_cmd, each tendon with a motor of its
+    own; w where what is wound up makes the spool wider, or narrower (q_Σ: by how much the tendon is wound up)."""
 
     id, block, axes = "actuator_gain", "actuation", ("load", "everywhere", "angle")
     error: jax.Array = parameter("1", 0.0, -0.6, 1.5, 0.1)
     difference: jax.Array = parameter("1", 0.0, -0.4, 0.4, 0.05)
+    winding: jax.Array = parameter("1/rad", 0.0, -1.0, 1.0, 0.1)
 
     def actuate(self, memory, u, now):
-        gains = 1 + self.error + self.difference, 1 + self.error - self.difference
+        apart = self.difference + self.winding * sum(now.middle)
+        gains = 1 + self.error + apart, 1 + self.error - apart
         return tuple(g * t for g, t in zip(gains, u, strict=True)), memory
 
 
 class ActuatorSaturation(Effect):
-    """A share s of each tension stays below a limit L, its edge sharp or smooth: T − s T (1 − (1 + (T/L)^p)^(−1/p))."""
+    """A share s ± δ of each tension stays below a limit L, its edge sharp or smooth, each tendon with a motor of its
+    own: T − s T (1 − (1 + (T/L)^p)^(−1/p))."""
 
     id, block, axes = "actuator_saturation", "actuation", ("load", "angle")
     share: jax.Array = parameter("1", 0.0, 0.0, 1.0, 0.5)
+    difference: jax.Array = parameter("1", 0.0, -0.5, 0.5, 0.2)
     limit_n: jax.Array = shape("N", 10.0, 0.05, 1e3, (0.45, 0.65, 0.85), "tension")
     edge: jax.Array = shape("1", 8.0, 1.0, 16.0, (2.0, 8.0))
 
     def actuate(self, memory, u, now):
-        return tuple(t - self.share * (t - bounded(t, self.limit_n, self.edge)) for t in u), memory
+        shares = self.share + self.difference, self.share - self.difference
+        over = [t - bounded(t, self.limit_n, self.edge) for t in u]
+        return tuple(t - s * x for s, t, x in zip(shares, u, over, strict=True)), memory
+
+
+APART_N = 5.0
+"""The difference between commanded and present tension at which the lag's time constant holds."""
 
 
 class ActuatorLag(Effect):
-    """The current or tension loop lags: τ Ṫ = T_cmd − T, and after it a second lag of τ₂ (filter, tendon). Exact for
-    commands that hold over a step."""
+    """The current or tension loop lags: τ Ṫ = T_cmd − T, and after it a second lag of τ₂ (filter, tendon). Where the
+    loop's rate is limited τ goes with (|T_cmd − T|/5 N)^p, to a rate of its own for p = 1. Exact for commands that hold
+    over a step."""
 
     id, block, axes = "actuator_lag", "actuation", ("rate", "load", "time")
     tau_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.05)
     second_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.03)
+    power: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
 
     def start(self, now):
         return *now.u, *now.u
 
     def actuate(self, memory, u, now):
-        once = [lagged(x, held, self.tau_s, now.h) for x, held in zip(u, memory[:2], strict=True)]
+        once = []
+        for x, held in zip(u, memory[:2], strict=True):
+            apart = jnp.exp(0.5 * self.power * jnp.log(((x - held) / APART_N) ** 2 + 1e-4))
+            once.append(lagged(x, held, apart * self.tau_s, now.h))
         twice = [lagged(x, held, self.second_s, now.h) for (x, _), held in zip(once, memory[2:], strict=True)]
         return tuple(mean for mean, _ in twice), tuple(end for _, end in (*once, *twice))
 
@@ -122,20 +141,21 @@ class TendonSlack(Effect):
         return (one + half, two - half), (first, second, third)
 
 
-TURN_RAD = 0.01
-"""Tip rotation within which capstan friction turns round [rad]."""
-
-
 class TendonFriction(Effect):
     """Friction along the routing: joint k feels T exp(∓(ε + μ Σ_{j ≤ k}|q_j| + ν k)), less in the tendon pulled in,
-    more in the one paid out, from the entry, from bends (capstan), from guides; and a drag whatever the load.
-    At rest it fades, in TURN_RAD over the rate that counts as rest."""
+    more in the one paid out, from the entry, from bends (capstan), from guides; and a drag whatever the load. Each
+    tendon has a channel of its own: ε ± δ_ε, μ ± δ_μ.
+    It turns round within some rotation of the tip, over which tendon and liner stretch. At rest it fades, in that
+    rotation over the rate that counts as rest."""
 
     id, block, axes = "tendon_friction", "actuation", ("direction", "angle", "load")
     mu: jax.Array = parameter("1/rad", 0.0, 0.0, 6.0, 0.2)
     guide: jax.Array = parameter("1", 0.0, 0.0, 0.5, 0.02)
     entry: jax.Array = parameter("1", 0.0, 0.0, 0.9, 0.03)
     drag_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.3)
+    mu_difference: jax.Array = parameter("1/rad", 0.0, -3.0, 3.0, 0.1)
+    entry_difference: jax.Array = parameter("1", 0.0, -0.5, 0.5, 0.02)
+    turn_rad: jax.Array = shape("rad", 0.01, 0.001, 0.5, (0.08, 0.01))
     still_rad_s: jax.Array = shape("rad/s", 0.02, 1e-4, 10.0, (1e-3, 0.03, 0.3))
 
     def start(self, now):
@@ -146,11 +166,13 @@ class TendonFriction(Effect):
         out, wrapped = [], 0.0 * now.q[0]
         for i, q in enumerate(now.middle):
             wrapped = wrapped + jnp.abs(q)
-            e = (self.entry + self.mu * wrapped + self.guide * (i + 1.0)) * way
-            lost = now.u[0] * jnp.expm1(-e) - now.u[1] * jnp.expm1(e) - self.drag_n * way
+            mean = self.entry + self.mu * wrapped + self.guide * (i + 1.0)
+            apart = self.entry_difference + self.mu_difference * wrapped
+            pulled, paid = jnp.expm1(-(mean + apart) * way), jnp.expm1((mean - apart) * way)
+            lost = now.u[0] * pulled - now.u[1] * paid - self.drag_n * way
             out.append(load[i] + arm(now) * lost)
         return tuple(out)
 
     def remember(self, memory, now, after):
         moved = sum(b - a for a, b in zip(now.q, after.q, strict=True))
-        return (turned(memory[0], moved, TURN_RAD, self.still_rad_s * now.h),)
+        return (turned(memory[0], moved, self.turn_rad, self.still_rad_s * now.h),)

@@ -57,14 +57,21 @@ class PressureLeak(Effect):
         return positive(vacuum - self.share * ((1 - self.held) * vacuum * part + self.held * late)), (leaked, lacking)
 
 
+NO_KPA = 1e-3
+"""A vacuum that is none."""
+
+
 class PressureBias(Effect):
-    """Offset of regulator or gauge: P = (P_line + b)₊."""
+    """Offset of regulator or gauge: P = (P_line + b P_line/(P_line + p₀))₊. With p₀ = 0 it is there whatever the
+    vacuum; a regulator that closes at the atmosphere's pressure has none in a vented line, and comes to b over p₀."""
 
     id, block, axes = "pressure_bias", "jamming", ("pressure", "everywhere")
     offset_kpa: jax.Array = parameter("kPa", 0.0, -20.0, 20.0, 1.0)
+    vented_kpa: jax.Array = shape("kPa", 0.0, 0.0, 20.0, (0.0, 0.5, 4.0))
 
     def evacuate(self, memory, vacuum, now):
-        return positive(vacuum + self.offset_kpa), memory
+        p = positive(vacuum) + NO_KPA
+        return positive(vacuum + self.offset_kpa * p / (p + self.vented_kpa)), memory
 
 
 class StiffnessSaturation(Effect):

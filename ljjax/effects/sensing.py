@@ -7,18 +7,36 @@ import jax
 from ljjax.effect import Effect, parameter, shape
 from ljjax.effects.shapes import along, lagged
 
+BEND_RAD = 0.15
+"""Bend of a joint at which what a view from aside and a lens distort is what their parameters say."""
+INVERSE = 4
+"""Steps of Newton's method that undo it."""
+
 
 class SensorScale(Effect):
-    """The camera's scale is wrong: (1 + s) y."""
+    """The camera's scale is wrong, more so to one side where it looks from aside, and further out by its lens:
+    (1 + s + p b + r b²) y, b = y/0.15 rad."""
 
     id, block, axes = "sensor_scale", "sensing", ("everywhere", "angle")
     error: jax.Array = parameter("1", 0.0, -0.6, 1.5, 0.05)
+    aside: jax.Array = parameter("1", 0.0, -0.3, 0.3, 0.02)
+    lens: jax.Array = parameter("1", 0.0, -0.3, 0.3, 0.02)
 
     def sense(self, memory, y, now):
-        return tuple((1 + self.error) * x for x in y), memory
+        return tuple(
+            (1 + self.error + (self.aside + self.lens * b) * b) * x for x in y for b in (x / BEND_RAD,)
+        ), memory
 
     def unsense(self, y):
-        return tuple(x / (1 + self.error) for x in y)
+        out = []
+        for x in y:
+            q = x / (1 + self.error)
+            for _ in range(INVERSE):
+                first, second = self.aside * q / BEND_RAD, self.lens * (q / BEND_RAD) ** 2
+                wrong = (1 + self.error + first + second) * q - x
+                q = q - wrong / (1 + self.error + 2 * first + 3 * second)
+            out.append(q)
+        return tuple(out)
 
 
 class SensorBias(Effect):

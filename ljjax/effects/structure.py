@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -93,16 +95,33 @@ class RestCurvature(Effect):
         return tuple(t + a * (self.angle_rad + x) for t, a, x in zip(load, now.alpha2, bent, strict=True))
 
 
+def _moments(now: Now, weights: Sequence[Array], part: Vector) -> list[Array]:
+    """Moments about each joint of forces spread over the links beyond it [N], the last half a link; `part` of each
+    link's direction is across the forces."""
+    length = now.model.chain.half_length_m
+    beyond, moment, out = 0.0 * weights[0], 0.0 * part[0], []
+    for k in range(len(part) - 1, -1, -1):
+        own, reach = (1.0, 2.0) if k < len(part) - 1 else (0.5, 1.0)
+        weight = own * weights[k]
+        moment = moment + (0.5 * weight + beyond) * reach * length * part[k]
+        beyond = beyond + weight
+        out.append(moment)
+    return out[::-1]
+
+
 class BaseTilt(Effect):
-    """Gravity not along the unbent body: α₁ sin(q_Σ − δ)."""
+    """Gravity not along the unbent body: α₁ sin(q_Σ − δ); and as the weight is spread along it, each link is drawn
+    aside by a force f of its own."""
 
     id, block, axes = "base_tilt", "structure", ("everywhere", "angle", "pressure")
     tilt_rad: jax.Array = parameter("rad", 0.0, -1.5, 1.5, 0.15)
+    aside_n: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.05)
 
     def load(self, memory, load, now):
         total = sum(now.middle)
         more = now.model.gravity.alpha1 * (jnp.sin(total - self.tilt_rad) - jnp.sin(total))
-        return tuple(x - more for x in load)
+        moments = _moments(now, [self.aside_n] * len(load), now.cos)
+        return tuple(x - more + m for x, m in zip(load, moments, strict=True))
 
 
 def _ends(now: Now) -> tuple[Vector, Vector]:
@@ -147,19 +166,9 @@ class GravityDistribution(Effect):
     mode1: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.1)
 
     def load(self, memory, load, now):
-        n = len(now.middle)
-        length = now.model.chain.half_length_m
         none = 0.0 * self.mode1
-        weights = [self.link_weight_n + x for x in along((self.mode1, none, none, none, none), n)]
-        out = list(load)
-        beyond, moment = none, 0.0 * now.sin[0]
-        for k in range(n - 1, -1, -1):
-            own, reach = (1.0, 2.0) if k < n - 1 else (0.5, 1.0)
-            weight = own * weights[k]
-            moment = moment + (0.5 * weight + beyond) * reach * length * now.sin[k]
-            beyond = beyond + weight
-            out[k] = out[k] - moment
-        return tuple(out)
+        weights = [self.link_weight_n + x for x in along((self.mode1, none, none, none, none), len(load))]
+        return tuple(x - m for x, m in zip(load, _moments(now, weights, now.sin), strict=True))
 
 
 class NonuniformStiffness(Effect):

@@ -111,7 +111,7 @@ def test_parameters_have_units_bounds_and_paths(everything):
 
 def test_a_run_starts_where_its_log_does_whatever_the_sensor_adds(robot):
     scale, bias = (
-        REGISTRY["sensor_scale"](**{"error": 0.1}),
+        REGISTRY["sensor_scale"](**{"error": 0.1, "aside": -0.02, "lens": 0.03}),
         REGISTRY["sensor_bias"](**{"offset_rad": 0.02, "mode1": 0.01}),
     )
     model = dataclasses.replace(robot(3), effects=(scale, bias))
