@@ -1,6 +1,6 @@
 """The full circle on a rig that is not there: experiments, what the model misses, a law that knows it, the rig again.
 
-    python examples/full_circle.py [--out out/full_circle] [--effect actuator_lag.tau_s=0.12] [--quick]
+    python examples/full_circle.py [--out out/full_circle] [--effect actuator_lag.tau_s=0.2] [--quick]
 
 `ljjax rig emulate` plays a robot in real time behind the drivers of the reference rig: another stiffness and friction
 than OctRobot-I's starting values, and an effect that no other command is told. The commands, each of which could be
@@ -54,7 +54,7 @@ SPEC = """schema = "ljjax.spec/1"
 duration_s = {seconds}
 noise_rad = 3e-4
 [require.settling_s]
-limit = 0.5
+limit = 0.8
 weight = 1.0
 [require.overshoot]
 limit = 0.05
@@ -67,6 +67,8 @@ noise_rad = [2e-4, 6e-4]
 """
 ANGLES_DEG = (5.0, 1.0, 4.0)
 """Where the rig is sent, one after the other; the laws are tuned to steps as large."""
+WAY_S, EVERY_S = 1.0, 0.05
+"""How long it is on its way from one to the next, and how often a schedule says where it should be."""
 
 
 def ljjax(*arguments: object) -> None:
@@ -129,21 +131,29 @@ def reach(model: Path, out: Path) -> tuple[float, float]:
     return low, high
 
 
+def wanted_deg(t: np.ndarray, hold_s: float) -> np.ndarray:
+    """(N,) the scheduled angle [°] at times [s]: from each of `ANGLES_DEG` to the next along half a cosine."""
+    angles = np.array(ANGLES_DEG)
+    k = np.clip((t // hold_s).astype(int), 0, len(angles) - 1)
+    way = 0.5 - 0.5 * np.cos(np.pi * np.clip((t - k * hold_s) / WAY_S, 0.0, 1.0))
+    before = angles[np.maximum(k - 1, 0)]
+    return before + way * (angles[k] - before)
+
+
 def tracked(log: Path, hold_s: float, ramp_s: float = 1.0) -> tuple[float, float]:
     """RMS of the angle's distance from the schedule [°] in a log: over it all, and in the second half of each hold."""
     run = read(log)
     shape = run.signals["shape"]
     t = shape.t - run.signals["cmd_tendons"].t[0] - ramp_s
-    k = np.floor(t / hold_s).astype(int)
-    inside = (t >= 0) & (k < len(ANGLES_DEG))
-    error = np.degrees(shape.value[inside, 0]) - np.array(ANGLES_DEG)[k[inside]]
-    late = t[inside] - k[inside] * hold_s > hold_s / 2
+    inside = (t >= 0) & (t < hold_s * len(ANGLES_DEG))
+    error = np.degrees(shape.value[inside, 0]) - wanted_deg(t[inside], hold_s)
+    late = t[inside] % hold_s > hold_s / 2
     return float(np.sqrt(np.mean(error**2))), float(np.sqrt(np.mean(error[late] ** 2)))
 
 
 def laws_compared(rig: Path, out: Path, folder: Path, quick: bool) -> dict[str, tuple[float, float]]:
     """A law tuned on the model without the effect and one with it, each proven and run on the rig: what they track."""
-    hold_s = 3.0 if quick else 5.0
+    hold_s = 4.0 if quick else 6.0
     models = {"before": folder / "base.toml", "after": folder / "model.toml"}
     reaches = [reach(model, out / f"law_{name}.json") for name, model in models.items()]
     low, high = max(low for low, _ in reaches), min(high for _, high in reaches)
@@ -153,12 +163,13 @@ def laws_compared(rig: Path, out: Path, folder: Path, quick: bool) -> dict[str, 
         targets = "\n".join(f"[[targets]]\ntheta_rad = {math.radians(a)}\nstiffness_n_m = {stiffness}" for a in steps)
         spec, schedule = out / f"spec_{name}.toml", out / f"schedule_{name}.toml"
         spec.write_text(SPEC.format(targets=targets, seconds=hold_s), encoding="utf-8")
+        t = np.arange(0.0, hold_s * len(ANGLES_DEG), EVERY_S)
         points = "\n".join(
-            f"[[points]]\nt_s = {hold_s * k}\ntheta_deg = {a}\nstiffness_n_m = {stiffness}"
-            for k, a in enumerate(ANGLES_DEG)
+            f"[[points]]\nt_s = {at:.3f}\ntheta_deg = {angle:.4f}\nstiffness_n_m = {stiffness}"
+            for at, angle in zip(t, wanted_deg(t, hold_s), strict=True)
         )
         schedule.write_text(f'schema = "ljjax.schedule/1"\nseconds = {hold_s * len(ANGLES_DEG)}\n{points}\n')
-        few = ["--samples", 2, "--iterations", 12, "--restarts", 1] if quick else []
+        few = ["--samples", 4, "--restarts", 1] if quick else []
         ljjax("tune", model, "--law", "observer", "--spec", spec, "--out", out / f"tuned_{name}", *few)
         law = out / f"tuned_{name}" / "law.json"
         few = ["--samples", 64, "--sobol", 0, "--steps", 4] if quick else ["--samples", 500]
@@ -201,7 +212,7 @@ def run(out: Path, effect: str, quick: bool) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="The full circle on an emulated rig.")
     parser.add_argument("--out", type=Path, default=Path("out/full_circle"))
-    parser.add_argument("--effect", default="actuator_lag.tau_s=0.12")
+    parser.add_argument("--effect", default="actuator_lag.tau_s=0.2")
     parser.add_argument("--quick", action="store_true", help="short runs and small studies, to see it work")
     chosen = parser.parse_args()
     run(chosen.out, chosen.effect, chosen.quick)

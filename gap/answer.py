@@ -40,7 +40,7 @@ def answer(inquiry: Inquiry) -> Diagnosis:
         if simplest != chosen.ids[0] and single[simplest].total <= 1.02 * chosen.total:
             chosen = single[simplest]
             seen[1] = study.predict([chosen], setting.test)[0]
-    rivals = _rivals(inquiry, chosen.ids)
+    rivals = _rivals(inquiry, chosen)
     return Diagnosis(
         verdict=inquiry.verdict,
         gap=_gap(inquiry, chosen, seen),
@@ -50,7 +50,7 @@ def answer(inquiry: Inquiry) -> Diagnosis:
         selected=list(chosen.ids),
         equivalent=equivalent,
         minimum_detectable=_detectable(inquiry),
-        next_experiment=next_experiment(study, [inquiry.found.single[i] for i in rivals], rivals),
+        next_experiment=next_experiment(study, list(rivals.values()), list(rivals)),
         base=_file(inquiry, base),
         model=_file(inquiry, chosen),
         runs=setting.runs,
@@ -164,12 +164,16 @@ def _where(inquiry: Inquiry, chosen: Refit) -> list[Region]:
     return []
 
 
-def _rivals(inquiry: Inquiry, selected: Sequence[str]) -> list[str]:
-    """The main effect and the most probable other that has been refitted."""
-    single = inquiry.found.single
-    known = sorted(single, key=lambda i: -inquiry.probability.get(i, 0.0))
-    first = [i for i in selected if i in single][:1] or known[:1]
-    return [*first, *[i for i in known if i not in first]][:2]
+def _rivals(inquiry: Inquiry, chosen: Refit) -> dict[str, Refit]:
+    """What an experiment should part, by name: the main effect and the most probable other that has been refitted; of
+    several effects one, and what does best in its place."""
+    found = inquiry.found
+    if len(chosen.ids) > 1 and found.exchanged:
+        out, new, other = min(found.exchanged, key=lambda x: inquiry.left(x[2]))
+        return {out: chosen, new: other}
+    known = sorted(found.single, key=lambda i: -inquiry.probability.get(i, 0.0))
+    first = [i for i in chosen.ids if i in found.single][:1] or known[:1]
+    return {i: found.single[i] for i in [*first, *[i for i in known if i not in first]][:2]}
 
 
 def _detectable(inquiry: Inquiry) -> dict[str, dict[str, object]]:

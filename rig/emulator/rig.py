@@ -28,8 +28,34 @@ from ljjax.rig.keys import Keys
 from ljjax.rig.spools import Spools
 
 SPOOLS = {"spool_radius_m": 0.01, "torque_constant_nm_a": 1.78, "friction_ma": 20.0, "direction": [1, -1]}
+FRAMES = "ljjax_frames_"
 BEHIND_S = 0.1
 """Time that the robot is late by and makes up for; what is more is dropped."""
+
+
+def _frames_file() -> str:
+    """A file of this process's own for the pictures, in memory where the system can; those of emulators that were
+    killed, and so could not take theirs away, are removed."""
+    folder = Path("/dev/shm" if os.path.isdir("/dev/shm") else tempfile.gettempdir())
+    for left in folder.glob(FRAMES + "*"):
+        with contextlib.suppress(OSError, ValueError):
+            pid = int(left.name.removeprefix(FRAMES).split("_")[0])
+            if not _runs(pid):
+                left.unlink()
+    handle, path = tempfile.mkstemp(prefix=f"{FRAMES}{os.getpid()}_", dir=folder)
+    os.close(handle)
+    return path
+
+
+def _runs(pid: int) -> bool:
+    """Whether there is such a process."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
 
 
 class EmulatedRig:
@@ -57,9 +83,7 @@ class EmulatedRig:
         self._bus = Bus(Line(), self._servos, seed)
         self._vacuum = VacuumLine(Line())
         self._painter, self._view = TagPainter(seed=seed), View(self._segments, plant.half_length_m)
-        folder = "/dev/shm" if os.path.isdir("/dev/shm") else None
-        handle, self.frames_path = tempfile.mkstemp(prefix="ljjax_frames_", dir=folder)
-        os.close(handle)
+        self.frames_path = _frames_file()
         self._frames = FrameWriter(self.frames_path, self._painter.width, self._painter.height)
         self._rate = rate_hz
         self._picture = self._painter.blank()

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 
 from ljjax.gap import judge
 from ljjax.gap.judge import Evidence
+from ljjax.gap.selection import Found
 
 
 def evidence(left: dict[str, float], *, excess: float = 5.0, chance: float = 1e-9, sizes: dict[str, int] | None = None):
@@ -43,3 +47,20 @@ def test_the_interval_is_of_runs_that_no_fit_has_seen():
     assert low < 1 - 1.6 / 16 < high < 0.95
     low, high = judge.interval(before, np.ones(8), floor, 2, np.random.default_rng(0)) or (1.0, 1.0)
     assert low < 1.0 < high  # the floor itself is not known exactly
+
+
+def test_of_several_effects_each_exchange_is_known_by_what_went_and_what_came():
+    def refit(*ids: str) -> Any:
+        return SimpleNamespace(ids=ids)
+
+    best = refit("filter", "payload")
+    others = [
+        ("filter", "tilt"),
+        ("payload", "tilt"),
+        ("filter", "payload"),
+        ("lag", "tilt"),
+        ("filter", "lag", "tilt"),
+    ]
+    found = Found({}, {tuple(sorted(ids)): refit(*ids) for ids in others}, best)
+    said = {(out, new) for out, new, _ in found.exchanged}
+    assert said == {("payload", "tilt"), ("filter", "tilt")}

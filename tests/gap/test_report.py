@@ -78,7 +78,7 @@ def diagnosed(
         base=base,
         given=before,
         screen=Some(best=lambda i: (i, 0), alike=lambda a, b: 0.87),
-        found=Some(single=single, joint={}, best=chosen),
+        found=Some(single=single, joint={}, best=chosen, exchanged=[]),
         measured=Some(channels=change.pop("channels", [channel])),
         evidence=Some(left={LAG: 0.1, DELAY: 0.4}),
     )

@@ -126,6 +126,43 @@ def test_a_logging_process_that_is_killed_loses_what_had_not_reached_the_disk_an
     assert "end_reason" not in run.metadata and 50 <= len(run.signals["cmd_tendons"]) <= 60
 
 
+KEEPS = """import os, shutil, time
+sync = os.fsync
+def kept(fd):
+    entered = time.monotonic()
+    sync(fd)
+    path = os.readlink(f"/proc/self/fd/{fd}")
+    if path.endswith(".mcap"):
+        shutil.copy(path, os.path.join(os.path.dirname(__file__), f"{entered:.6f}.kept"))
+os.fsync = kept
+"""
+"""What a disk holds after each sync, kept aside."""
+
+
+def test_power_that_fails_takes_half_a_second_at_most(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """At any moment the disk holds what it held after the last sync: a file that reads, with all but the last rows."""
+    (tmp_path / "sitecustomize.py").write_text(KEEPS)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    given = []
+    with recorder(tmp_path / "a.mcap") as log:
+        end = time.monotonic() + 2.5
+        while time.monotonic() < end:
+            given.append(time.monotonic())
+            log.tick(some(len(given) - 1))
+            time.sleep(0.005)
+    kept = sorted(tmp_path.glob("*.kept"))[1:]  # the first one holds what the run is about
+    synced, missing = np.array([float(path.stem) for path in kept]), []
+    for path, t in zip(kept, synced, strict=True):
+        run = read(path)
+        assert any("cut short" in note for note in run.notes)
+        held = len(run.signals["cmd_tendons"])
+        np.testing.assert_allclose(run.signals["cmd_tendons"].value[:, 0], 1.0 + np.arange(held))
+        missing.append(t - min(given[held:], default=t))
+    assert len(kept) >= 5
+    lost = np.diff(synced) + np.maximum(missing[:-1], 0)  # just before the next sync
+    assert np.median(lost) < 0.5, lost
+
+
 def test_a_disk_that_fills_is_told(tmp_path: Path):
     with recorder(tmp_path / "a.mcap") as log:
         resource.prlimit(log.pid, resource.RLIMIT_FSIZE, (20_000, 20_000))

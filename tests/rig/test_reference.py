@@ -46,6 +46,21 @@ def test_a_run_reads_what_it_commands_and_stops_whatever_happens():
         assert rig.vacuum_kpa > 15  # kept
 
 
+def test_pictures_of_an_emulator_that_was_killed_are_taken_away_by_the_next():
+    code = "import time; from benchmarks.rig_parts import Spring; from ljjax.rig.emulator.rig import EmulatedRig\n"
+    code += "with EmulatedRig(Spring()) as rig:\n    print(rig.frames_path, flush=True)\n    time.sleep(60)"
+    with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, text=True) as killed:
+        assert killed.stdout is not None
+        path = Path(killed.stdout.readline().strip())
+        assert path.exists()
+        with emulated():
+            assert path.exists()  # it still runs
+        killed.kill()
+    with emulated() as rig:
+        assert not path.exists() and Path(rig.frames_path).exists()
+    assert not Path(rig.frames_path).exists()
+
+
 def test_parts_fail_by_name_and_take_the_others_with_them():
     with emulated() as rig:
         wrong = config(rig)

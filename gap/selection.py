@@ -1,0 +1,229 @@
+"""The search: the leaders refitted alone, forward selection among them, pruning, and exchanges."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ljjax.gap import judge, screening
+from ljjax.gap.candidates import CAUTIOUS, Trial, cautious
+from ljjax.gap.channels import Measured
+from ljjax.gap.screening import Screen
+from ljjax.gap.search import Refit, Study
+
+LEADERS, FEW, SECOND, MOST = 12, 4, 5, 3
+"""How many candidates are refitted alone, how many where chance promises as much as they do, how many with those found
+before, and how many are found at most."""
+AFRESH = 0.3
+"""Where the best candidate leaves more than this share of the gap, the leaders are begun from the given model too."""
+HEARD = 3
+"""How many effects that measured inputs show are begun as they show there."""
+ASTRAY = 0.98
+"""A candidate that leaves more than this share of the base's loss has found nothing, or not its way."""
+FURTHER, PAIRS = 0.12, 0.25
+"""Shares of the gap, left by one effect, from which a further one is looked for, and from which pairs of others are."""
+
+
+@dataclass
+class Found:
+    """What the search found: each effect's best refit alone, joint refits by their effects, the best of all."""
+
+    single: dict[str, Refit]
+    joint: dict[tuple[str, ...], Refit]
+    best: Refit
+
+    @property
+    def exchanged(self) -> list[tuple[str, str, Refit]]:
+        """Of several effects found, one of them, another in its place, and the refit with that."""
+        ids, out = set(self.best.ids), []
+        for key, r in self.joint.items():
+            new, gone = set(key) - ids, ids - set(key)
+            if len(new) == len(gone) == 1:
+                out.append((*gone, *new, r))
+        return out
+
+
+class Selection:
+    """A search that has run.
+
+    Attributes:
+        study, base, given, screen, measured, seed: what it was given (see `ljjax.gap.inquiry.Inquiry`).
+        floor, excess: of the base's loss, the noise's part and the rest.
+        found: the candidates refitted.
+    """
+
+    def __init__(self, study: Study, base: Refit, given: Refit, screen: Screen, measured: Measured, seed: int):
+        self.study, self.base, self.given = study, base, given
+        self.screen, self.measured, self.seed = screen, measured, seed
+        self._joined: dict[Refit, float] = {}
+        self.floor = study.floor(sum(len(m.t) for m in study.motions))
+        self.excess = base.total - self.floor
+        self.found = self._forward(self._leaders())
+
+    @property
+    def gap(self) -> float:
+        """The excess of which leftovers are shares; where there is none, a thousandth of the floor."""
+        return max(self.excess, 1e-3 * self.floor)
+
+    def own_left(self, refit: Refit) -> float:
+        """The share of the shape's gap that a refit leaves."""
+        return float((refit.total - self.floor) / self.gap)
+
+    def left(self, refit: Refit) -> float:
+        """The share of the gap a refit leaves, the measured inputs' own gap among it."""
+        if refit not in self._joined:
+            self._joined[refit] = self.measured.joined(self.own_left(refit), refit.fitted)
+        return self._joined[refit]
+
+    def unit_of(self, refit: Refit) -> float:
+        return self.variance_of(refit) / self.gap
+
+    def variance_of(self, refit: Refit) -> float:
+        """The variance that a refit leaves, its colour counted: the loss that a χ² of 1 stands for."""
+        error = refit.estimate.error / self.study.unit
+        return float(screening.colour(error, refit.estimate.windows.sample_run) * np.mean(error**2))
+
+    def _leaders(self) -> list[Refit]:
+        """The candidates that promise most, refitted alone."""
+        screen, study = self.screen, self.study
+        keys = sorted(screen.gains, key=lambda k: -screen.gains[k])
+        first = self._ahead(screen, LEADERS if self._promising() else FEW)
+        first += [screen.best(i) for i in self.measured.speaks if i in screen.ids and screen.best(i) not in first]
+        more = [k for k in keys if k not in first and k[0] in {f[0] for f in first[:4]}][:4]
+        trials, steps = [], {}
+        for key in [*first, *more]:
+            trial, step = study.trial(screen, key)
+            trials.append(trial)
+            steps[trial] = step
+        trials += self._heard()
+        found = study.refit(self.base.model, trials, screen, steps, finish=4, sure=3)
+        least = min((self.own_left(r) for r in found), default=1.0)
+        if self.excess > judge.OPEN * self.floor and least > FURTHER:
+            found += self._with_care(trials, steps, found)
+            found += self._afresh() if least > AFRESH else []
+        return found
+
+    def _with_care(
+        self, trials: Sequence[Trial], steps: Mapping[Trial, np.ndarray], found: Sequence[Refit]
+    ) -> list[Refit]:
+        """Effects no form of which has come below `ASTRAY` of the base's loss though they vanish at it: the first step
+        has led them astray, so they are begun once more, nearer to the base."""
+        study = self.study
+        least: dict[str, float] = {}
+        for r in found:
+            least[r.ids[0]] = min(r.total, least.get(r.ids[0], np.inf))
+        lost = [t for t in trials if least.get(t.ids[0], np.inf) > ASTRAY * self.base.total]
+        again = {t: cautious(t, study.kinds) for t in lost}
+        moves = {again[t]: CAUTIOUS * steps[t] for t in lost if t in steps}
+        return study.refit(self.base.model, list(again.values()), self.screen, moves, "with care", finish=2)
+
+    def _afresh(self) -> list[Refit]:
+        """Leaders once more, begun from the given model: a large effect bends the base's refit so far that effects
+        begun there may not find their way."""
+        study, screen = self.study, self.study.screen(self.given)
+        trials, steps = [], {}
+        for key in self._ahead(screen, SECOND + 1):
+            trial, step = study.trial(screen, key)
+            trials.append(trial)
+            steps[trial] = step
+        return study.refit(study.start, trials, screen, steps, "candidates from the given model", finish=3, sure=3)
+
+    @staticmethod
+    def _ahead(screen: Screen, count: int) -> list[tuple[str, int]]:
+        """Of each effect its best form: those that promise most, and those that promise most firmly, in turns."""
+        best = [screen.best(i) for i in screen.ids]
+        most, firm = (sorted(best, key=lambda k: -by[k]) for by in (screen.gains, screen.firm))
+        return list(dict.fromkeys(k for pair in zip(most, firm, strict=True) for k in pair))[:count]
+
+    def _heard(self, onto: Refit | None = None) -> list[Trial]:
+        """Effects that measured inputs show, begun as they show there."""
+        ids, before = (onto.ids, onto.free_effects) if onto else ((), {})
+        return [
+            Trial((*ids, i), {**before, **{f"effects.{i}.{n}": x for n, x in values.items()}})
+            for i, values in self.measured.speaks.items()
+            if i not in ids and i in self.screen.ids
+        ][:HEARD]
+
+    def _promising(self) -> bool:
+        """Whether there is a gap and some candidate promises more than chance would."""
+        gain, one = max(self.screen.gains.values()), self.variance_of(self.base)
+        null = self.screen.null(np.random.default_rng(self.seed)) * one
+        return self.excess > judge.MATTERS * self.floor and judge.chance(null, gain, one) < 0.2
+
+    def _forward(self, singles: Sequence[Refit]) -> Found:
+        """Forward selection with backward pruning, and all pairs among the leaders."""
+        study, left = self.study, {}
+        for r in singles:
+            self.measured.listen(self.own_left(r), r.fitted)
+        for r in sorted(singles, key=self.left):
+            left.setdefault(r.ids[0], r)
+        if not left:
+            raise FloatingPointError("no candidate simulates on these runs")
+        found = Found(left, {}, next(iter(left.values())))
+        unit = self.unit_of(found.best)
+        while len(found.best.ids) < MOST:
+            share = self.left(found.best)
+            if share < max(FURTHER, 15 * unit):
+                break
+            on_top = study.screen(found.best)
+            keys = self._ahead(on_top, SECOND)
+            trials, steps = [], {}
+            for key in keys:
+                trial, step = study.trial(on_top, key, found.best)
+                trials.append(trial)
+                steps[trial] = step
+            trials += self._heard(found.best)
+            if len(found.best.ids) == 1 and share > PAIRS:
+                leaders = [i for i in left if i != found.best.ids[0]][:4]
+                for a, b in ((a, b) for k, a in enumerate(leaders) for b in leaders[k + 1 :]):
+                    joint = {**left[a].free_effects, **left[b].free_effects}
+                    trials.append(Trial((a, b), joint))
+            more = study.refit(found.best.model, trials, on_top, steps, stage="several effects", finish=2, sure=1)
+            for r in more:
+                key = tuple(sorted(r.ids))
+                if key not in found.joint or r.total < found.joint[key].total:
+                    found.joint[key] = r
+            if not more:
+                break
+            better = min(more, key=self.left)
+            if not judge.pairs_worth(share, self.left(better), unit):
+                break
+            found.best = better
+        if len(found.best.ids) > 2:
+            found.best = self._pruned(found.best, unit)
+        if len(found.best.ids) > 1:
+            self._exchange(found)
+        return found
+
+    def _exchange(self, found: Found) -> None:
+        """Each of several effects exchanged for those that promise most in its place: what was found first need not be
+        what fits best beside the others, nor the simplest that does."""
+        study, ids, unit = self.study, found.best.ids, self.unit_of(found.best)
+        for out in ids:
+            rest = tuple(sorted(i for i in ids if i != out))
+            like = found.single.get(rest[0]) if len(rest) == 1 else found.joint.get(rest)
+            if like is None:
+                continue
+            on_top = study.screen(like)
+            begun = [study.trial(on_top, k, like) for k in self._ahead(on_top, SECOND)]
+            begun = [(t, step) for t, step in begun if tuple(sorted(t.ids)) not in found.joint]
+            for r in study.refit(like.model, [t for t, _ in begun], on_top, dict(begun), "exchanges", finish=2):
+                found.joint[tuple(sorted(r.ids))] = r
+        rivals = [r for key, r in found.joint.items() if len(key) == len(ids)]
+        least = max(min(self.left(r) for r in rivals), 0.0)
+        near = [r for r in rivals if self.left(r) <= judge.as_little(least, unit)]
+        found.best = min(near, key=lambda r: (r.trial.size, self.left(r)))
+
+    def _pruned(self, best: Refit, unit: float) -> Refit:
+        """Backward: without each of the effects, where the others do nearly as well without it."""
+        start = best.trial.start
+        fewer = [
+            Trial(tuple(i for i in best.ids if i != out), {p: x for p, x in start.items() if p.split(".")[1] != out})
+            for out in best.ids
+        ]
+        for r in self.study.refit(best.model, fewer, self.screen, stage="pruning"):
+            if not judge.pairs_worth(self.left(r), self.left(best), unit):
+                best = r
+        return best
