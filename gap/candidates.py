@@ -41,6 +41,20 @@ def cautious(trial: Trial, kinds: Sequence[type[Effect]]) -> Trial:
     )
 
 
+def bold(trial: Trial, kinds: Sequence[type[Effect]]) -> Trial:
+    """The same trial begun with its effects at their usual sizes at least, to the side that it was begun to."""
+    about = {path(k, n): k.fields()[n] for k in kinds for n in k.sizes()}
+
+    def usual(p: str, x: float) -> float:
+        if p not in about:
+            return x
+        low, null, high, scale = (float(about[p][n]) for n in ("low", "null", "high", "scale"))
+        side = -1.0 if x < null and low < null or high <= null else 1.0
+        return null + side * max(abs(x - null), scale)
+
+    return Trial(trial.ids, {p: usual(p, x) for p, x in trial.start.items()})
+
+
 def universal(model: Model, kinds: Sequence[type[Effect]]) -> Model:
     """The model with every effect of `kinds` at its null: one program simulates all candidates."""
     return dataclasses.replace(without_effects(model), effects=tuple(kind() for kind in kinds))

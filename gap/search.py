@@ -131,7 +131,7 @@ class Study:
         self,
         like: Model,
         trials: Sequence[Trial],
-        screen: Screen,
+        screen: Screen | None,
         steps: Mapping[Trial, np.ndarray] | None = None,
         stage: str = "candidates",
         finish: int = 1,
@@ -139,11 +139,11 @@ class Study:
     ) -> list[Refit]:
         """Base and effects of each trial refitted together, all trials side by side, from the model `like`; `steps`
         are first moves of the base's coordinates. A few iterations for all of them, the base's derivatives those of
-        the screen; more, with derivatives of their own, for the `finish` best and the first `sure` of the list. Trials
-        that fail are left out."""
-        borrowed = screen.base_jacobian[..., : len(self.names)]
+        the screen (their own where none is given); more, with derivatives of their own, for the `finish` best and the
+        first `sure` of the list. Trials that fail are left out."""
+        borrowed = None if screen is None else screen.base_jacobian[..., : len(self.names)]
         begun = [self._begun(like, t) for t in trials]
-        first = self._refit(begun, trials, steps or {}, FIRST, stage, borrowed)
+        first = self._refit(begun, trials, steps or {}, LAST if screen is None else FIRST, stage, borrowed)
         best = sorted(first, key=lambda r: r.total)[:finish]
         best += [r for r in first if any(r.trial is t for t in trials[:sure]) and all(r is not b for b in best)]
         for _ in range(AGAIN):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ljjax.gap import judge, screening
-from ljjax.gap.candidates import CAUTIOUS, Trial, cautious
+from ljjax.gap.candidates import Trial, bold, cautious
 from ljjax.gap.channels import Measured
 from ljjax.gap.screening import Screen
 from ljjax.gap.search import Refit, Study
@@ -16,12 +16,15 @@ from ljjax.gap.search import Refit, Study
 LEADERS, FEW, SECOND, MOST = 12, 4, 5, 3
 """How many candidates are refitted alone, how many where chance promises as much as they do, how many with those found
 before, and how many are found at most."""
+BOLD = 5
+"""How many leaders of the base's screen, and how many of the given model's, are begun afresh."""
 AFRESH = 0.3
 """Where the best candidate leaves more than this share of the gap, the leaders are begun from the given model too."""
 HEARD = 3
 """How many effects that measured inputs show are begun as they show there."""
-ASTRAY = 0.98
-"""A candidate that leaves more than this share of the base's loss has found nothing, or not its way."""
+ASTRAY, LOST = 0.98, 8
+"""A candidate that leaves more than this share of the base's loss has found nothing, or not its way; how many of those
+are begun once more."""
 FURTHER, PAIRS = 0.12, 0.25
 """Shares of the gap, left by one effect, from which a further one is looked for, and from which pairs of others are."""
 
@@ -101,34 +104,28 @@ class Selection:
         found = study.refit(self.base.model, trials, screen, steps, finish=4, sure=3)
         least = min((self.own_left(r) for r in found), default=1.0)
         if self.excess > judge.OPEN * self.floor and least > FURTHER:
-            found += self._with_care(trials, steps, found)
+            found += self._with_care(trials, found)
             found += self._afresh() if least > AFRESH else []
         return found
 
-    def _with_care(
-        self, trials: Sequence[Trial], steps: Mapping[Trial, np.ndarray], found: Sequence[Refit]
-    ) -> list[Refit]:
+    def _with_care(self, trials: Sequence[Trial], found: Sequence[Refit]) -> list[Refit]:
         """Effects no form of which has come below `ASTRAY` of the base's loss though they vanish at it: the first step
-        has led them astray, so they are begun once more, nearer to the base."""
+        has led them astray, so they are begun once more, at the base and nearer to it."""
         study = self.study
         least: dict[str, float] = {}
         for r in found:
             least[r.ids[0]] = min(r.total, least.get(r.ids[0], np.inf))
         lost = [t for t in trials if least.get(t.ids[0], np.inf) > ASTRAY * self.base.total]
-        again = {t: cautious(t, study.kinds) for t in lost}
-        moves = {again[t]: CAUTIOUS * steps[t] for t in lost if t in steps}
-        return study.refit(self.base.model, list(again.values()), self.screen, moves, "with care", finish=2)
+        again = [cautious(t, study.kinds) for t in lost[:LOST]]
+        return study.refit(self.base.model, again, self.screen, stage="with care", finish=2)
 
     def _afresh(self) -> list[Refit]:
-        """Leaders once more, begun from the given model: a large effect bends the base's refit so far that effects
-        begun there may not find their way."""
+        """Leaders once more, begun from the given model and at their usual sizes: a large effect bends the base's refit
+        so far, and itself acts so little to first order, that it may not find its way from there."""
         study, screen = self.study, self.study.screen(self.given)
-        trials, steps = [], {}
-        for key in self._ahead(screen, SECOND + 1):
-            trial, step = study.trial(screen, key)
-            trials.append(trial)
-            steps[trial] = step
-        return study.refit(study.start, trials, screen, steps, "candidates from the given model", finish=3, sure=3)
+        ids = [i for i, _ in (*self._ahead(self.screen, BOLD), *self._ahead(screen, BOLD))]
+        trials = [bold(study.trial(screen, screen.best(i))[0], study.kinds) for i in dict.fromkeys(ids)]
+        return study.refit(study.start, trials, None, stage="candidates from the given model", finish=3)
 
     @staticmethod
     def _ahead(screen: Screen, count: int) -> list[tuple[str, int]]:

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import arm, bounded, lagged, play, positive, turned
+from ljjax.effects.shapes import arm, bounded, lagged, play, positive, ringing, turned
 
 
 class ActuatorDelay(Effect):
@@ -71,25 +71,28 @@ APART_N = 5.0
 
 
 class ActuatorLag(Effect):
-    """The current or tension loop lags: τ Ṫ = T_cmd − T, and after it a second lag of τ₂ (filter, tendon). Where the
-    loop's rate is limited τ goes with (|T_cmd − T|/5 N)^p, to a rate of its own for p = 1. Exact for commands that hold
-    over a step."""
+    """The current or tension loop lags: τ Ṫ = T_cmd − T, and after it one of second order (loop, filter, springy
+    tendon), of the time constants τ₂ (1 ± i r), which rings for r > 1. Where the loop's rate is limited τ goes with
+    (|T_cmd − T|/5 N)^p, to a rate of its own for p = 1. Exact for commands that hold over a step."""
 
     id, block, axes = "actuator_lag", "actuation", ("rate", "load", "time")
     tau_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.05)
     second_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.03)
+    ring: jax.Array = shape("1", 0.0, 0.0, 10.0, (2.0, 0.0))
     power: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
 
     def start(self, now):
-        return *now.u, *now.u
+        return *now.u, *now.u, *(0.0 * x for x in now.u)
 
     def actuate(self, memory, u, now):
-        once = []
-        for x, held in zip(u, memory[:2], strict=True):
-            apart = jnp.exp(0.5 * self.power * jnp.log(((x - held) / APART_N) ** 2 + 1e-4))
-            once.append(lagged(x, held, apart * self.tau_s, now.h))
-        twice = [lagged(x, held, self.second_s, now.h) for (x, _), held in zip(once, memory[2:], strict=True)]
-        return tuple(mean for mean, _ in twice), tuple(end for _, end in (*once, *twice))
+        means, ends, held, rates = [], [], [], []
+        for x, first, second, rate in zip(u, memory[:2], memory[2:4], memory[4:], strict=True):
+            apart = jnp.exp(0.5 * self.power * jnp.log(((x - first) / APART_N) ** 2 + 1e-4))
+            once, end = lagged(x, first, apart * self.tau_s, now.h)
+            mean, later, rate = ringing(once, second, rate, self.second_s, self.ring, now.h)
+            for kept, value in zip((means, ends, held, rates), (mean, end, later, rate), strict=True):
+                kept.append(value)
+        return tuple(means), (*ends, *held, *rates)
 
 
 class ActuatorRipple(Effect):

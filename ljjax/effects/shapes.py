@@ -33,6 +33,23 @@ def lagged(x: Array, held: Array, tau: Array, h: Array) -> tuple[Array, Array]:
     return x + (held - x) * (1 - decay) * tau / h, x + (held - x) * decay
 
 
+def ringing(x: Array, held: Array, speed: Array, tau: Array, r: Array, h: Array) -> tuple[Array, Array, Array]:
+    """Mean over a step of h [s], and value and rate at its end, of a second-order lag of time constants τ (1 ± i r)
+    that begins at `held` and `speed`, x constant: τ² (1 + r²) ÿ + 2 τ ẏ = x − y, two lags of τ for r = 0."""
+    slow = tau > SHORT_S
+    alpha = 1 / (jnp.where(slow, tau, 1.0 + 0.0 * tau) * (1 + r * r))
+    beta, e = r * alpha, held - x
+    z = beta * h
+    small = z * z < 1e-6
+    safe = jnp.where(small, 1.0 + 0.0 * z, z)
+    decay, c, s = jnp.exp(-alpha * h), jnp.cos(z), h * jnp.where(small, 1 - z * z / 6, jnp.sin(safe) / safe)
+    a = speed + alpha * e
+    end = jnp.where(slow, decay * (e * c + a * s), 0.0 * e)
+    rate = jnp.where(slow, decay * (speed * c - (alpha * a + beta * beta * e) * s), 0.0 * e)
+    mean = -(tau * tau * (1 + r * r) * (rate - speed) + 2 * tau * (end - e)) / h
+    return x + mean, x + end, rate
+
+
 def play(x: Array, width: Array, memory: Vector) -> tuple[Array, Vector]:
     """What passes of x through a play of this half-width, and its memory: what it held, and the way it last moved."""
     held, way = memory

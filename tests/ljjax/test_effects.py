@@ -199,3 +199,20 @@ def test_a_users_own_effect_needs_no_change_of_the_package(tmp_path, robot):
         REGISTRY.pop("own_spring", None)
     with pytest.raises(InputError, match="this id is taken"):
         effects.register(type("Lag", (REGISTRY["actuator_lag"],), {}))
+
+
+def test_a_lag_that_rings_goes_as_its_differential_equation():
+    from scipy.integrate import solve_ivp
+
+    from ljjax.effects.shapes import ringing
+
+    tau, r, h = 0.02, 2.5, 0.005
+    for x, held, speed in ((1.0, 0.2, 3.0), (0.0, 0.4, -1.0)):
+        mean, end, rate = ringing(*(jnp.asarray(v) for v in (x, held, speed, tau, r, h)))
+        ode = solve_ivp(
+            lambda t, y: [y[1], (x - y[0] - 2 * tau * y[1]) / (tau**2 * (1 + r**2)), y[0]],  # noqa: B023
+            (0, h), [held, speed, 0.0], rtol=1e-10, atol=1e-12,
+        )  # fmt: skip
+        np.testing.assert_allclose([end, rate, mean * h], ode.y[:, -1], rtol=1e-6)
+    mean, end, rate = ringing(*(jnp.asarray(v) for v in (1.0, 0.2, 3.0, 0.0, r, h)))
+    assert (float(mean), float(end), float(rate)) == (1.0, 1.0, 0.0)
