@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 OCTROBOT := ljjax/data/octrobot
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check data recovery blind control-study bench clean
+.PHONY: help setup demo test check data recovery blind control-study circle bench clean
 
 help: ## what this file can do
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -45,6 +45,9 @@ blind: .venv/.ready ## diagnose robots whose effect is sealed, and score the ans
 
 control-study: .venv/.ready ## the control room's claims and the paper's experiments, measured; writes out/control/
 	$(BIN)/python -m benchmarks.control.study
+
+circle: .venv/.ready ## the full circle on an emulated rig, as a test of some eight minutes; wants a computer to itself
+	$(BIN)/python -m pytest -m long tests/rig/test_full_circle.py
 
 .venv/.bench: .venv/.ready
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test,bench]"

@@ -11,6 +11,7 @@ ROOT = Path(__file__).parents[2]
 LIMIT_S = 1800.0
 
 
+@pytest.mark.long
 def test_the_full_circle_names_the_hidden_effect_and_the_law_that_knows_it_tracks_better(tmp_path: Path):
     line = [sys.executable, "examples/full_circle.py", "--quick", "--out", str(tmp_path / "out")]
     done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, timeout=LIMIT_S)
