@@ -36,7 +36,7 @@ def answer(inquiry: Inquiry) -> Diagnosis:
     equivalent = _equivalent(inquiry)
     if equivalent and len(chosen.ids) == 1:
         single, order = inquiry.found.single, list(effects.REGISTRY)
-        simplest = min(equivalent[0], key=lambda i: (single[i].trial.size, order.index(i)))
+        simplest = min(equivalent[0], key=lambda i: (single[i].used[i], order.index(i)))
         if simplest != chosen.ids[0] and single[simplest].total <= 1.02 * chosen.total:
             chosen = single[simplest]
             seen[1] = study.predict([chosen], setting.test)[0]

@@ -33,6 +33,8 @@ explain that channel then counts as if it left so many times more, and so much m
 AGREES, CONTRADICTS, AGAINST = 0.5, 1.3, 0.3
 """A channel confirms an effect that leaves less than this share of its distance from the command, and contradicts one
 that puts it further off by this factor; that counts as so much of the gap left."""
+SHOWS, SURE = 0.3, 6.0
+"""A channel contradicts, too, an effect of which it shows less than this share, by so many standard deviations."""
 
 
 class Fitted(NamedTuple):
@@ -75,22 +77,42 @@ class Channel:
     def rms_with(self, fitted: Sequence[Fitted]) -> float | None:
         """RMS of measured − predicted with the one of these effects that acts here and suits best; None for none. Its
         parameters may move as far as the shape leaves them uncertain."""
-        hook = "actuate" if self.name == "tension" else "evacuate"
-        return min((self._suited(f) for f in fitted if _acts(type(f.effect), hook)), default=None)
+        return min((rms for rms, _ in self._all_suited(fitted)), default=None)
 
-    def _suited(self, fitted: Fitted) -> float:
+    def contradicts(self, fitted: Sequence[Fitted]) -> bool:
+        """Whether what is measured puts further off, or does not show, every effect of these that acts here."""
+        suited = self._all_suited(fitted)
+        bound = CONTRADICTS * max(self.rms, self.noise)
+        return bool(suited) and (min(r for r, _ in suited) > bound or all(self._denies(e) for _, e in suited))
+
+    def _denies(self, error: np.ndarray) -> bool:
+        """Whether the measured way from the command has hardly any of that which an effect predicts, from the errors
+        (N,) with it."""
+        before = self.error(None, np.zeros((1, 0)))[0, self.inside]
+        predicted = error - before
+        much = float(predicted @ predicted)
+        return -float(predicted @ before) + SURE * self.noise * np.sqrt(much) < SHOWS * much
+
+    def _all_suited(self, fitted: Sequence[Fitted]) -> list[tuple[float, np.ndarray]]:
+        hook = "actuate" if self.name == "tension" else "evacuate"
+        return [self._suited(f) for f in fitted if _acts(type(f.effect), hook)]
+
+    def _suited(self, fitted: Fitted) -> tuple[float, np.ndarray]:
+        """RMS and (N,) errors with an effect, its parameters moved where that helps."""
         kind, about = type(fitted.effect), fitted.effect.fields()
         x0 = np.array([float(getattr(fitted.effect, n)) for n in about])
-        first = float(np.sqrt(np.mean(self.error(kind, x0[None])[0, self.inside] ** 2)))
+        error = self.error(kind, x0[None])[0, self.inside]
+        first = float(np.sqrt(np.mean(error**2)))
         could = self.left.get(kind.id, 1.0) < AGREES
         if self.leaves(first) < AGREES or not could and first <= CONTRADICTS * max(self.rms, self.noise):
-            return first
+            return first, error
         known = np.diag([(0.02 * about[n]["scale"]) ** 2 for n in fitted.free])
         finite = np.all(np.isfinite(fitted.covariance))
         values, vectors = np.linalg.eigh(known + (fitted.covariance if finite else 0.0))
         ways = np.zeros((len(about), len(values)))
         ways[[list(about).index(n) for n in fitted.free]] = 3 * vectors * np.sqrt(np.maximum(values, 0.0))
-        return min(first, self.fit(kind, x0, ways, -1.0, 1.0)[0])
+        rms, x = self.fit(kind, x0, ways, -1.0, 1.0)
+        return (rms, self.error(kind, x[None])[0, self.inside]) if rms < first else (first, error)
 
     def fit(
         self, kind: type[Effect], x0: np.ndarray, ways: np.ndarray, low: float | np.ndarray, high: float | np.ndarray
@@ -162,11 +184,11 @@ class Measured:
         """The share left of the shape's gap, and what channels that are heard or contradicted add to it."""
         out = left
         for c in self.channels:
-            rms = c.rms_with(fitted)
             if c.name in self.heard:
+                rms = c.rms_with(fitted)
                 untold = 1.0 if rms is None else min(c.leaves(rms), 1.0)
                 out += UNTOLD * untold * (max(left, 0.0) + BESIDE)
-            if c.name == "tension" and rms is not None and rms > CONTRADICTS * max(c.rms, c.noise):
+            if c.name == "tension" and c.contradicts(fitted):
                 out += AGAINST
         return out
 

@@ -137,7 +137,9 @@ class Inquiry:
                 promised = 1 - screen.gains[screen.best(i)] / self.selection.gap
                 left[i] = max(measured.joined(promised, ()), 0.35)
         size = {i: found.single[i].trial.size if i in found.single else 1 for i in left}
+        used = {i: r.used[i] for i, r in found.single.items()}
         if len(found.best.ids) > 1:
+            used |= found.best.used
             least = self.left(found.best)
             alone = {i: left[i] for i in found.best.ids}
             least_alone = min(alone.values())
@@ -149,7 +151,7 @@ class Inquiry:
                     left[i] = left[i] / max(least_alone, 1e-9) * max(least_alone, 0.5)
             for place, i, r in found.exchanged:
                 left[i] = min(left[i], self.left(r) + behind[place])
-                size[i] = sum(p.startswith(f"effects.{i}.") for p in r.trial.start)
+                size[i], used[i] = sum(p.startswith(f"effects.{i}.") for p in r.trial.start), r.used[i]
         chance = judge.chance(self.null, max(self.gained.values(), default=0.0), self.one)
         count = len(self.setting.study.names)
         worse = (self.given.total - self.base.total) / max(self.selection.variance_of(self.base), 1e-12)
@@ -157,7 +159,8 @@ class Inquiry:
         as_given = worse < count + 4 * np.sqrt(2 * count) or self.given.total < self.base.total + matters
         unseen = {i: self.leaves_unseen(r) for i, r in found.single.items()}
         excess = self.excess / max(self.floor, 1e-9)
-        return judge.Evidence(excess, left, size, self.unit, chance, bool(as_given), unseen, self._flexible())
+        flexible = self._flexible()
+        return judge.Evidence(excess, left, size, self.unit, chance, bool(as_given), unseen, flexible, used)
 
     def _flexible(self) -> dict[str, float]:
         """By place, what a stand-in there leaves of the shape's gap; where the effects found leave little, nothing."""

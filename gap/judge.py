@@ -22,7 +22,7 @@ class Weights:
         sharpness: power of 1/share.
         leaves: share of a gap that an effect outside the library is taken to leave by the best one inside it.
         unforeseen: what stays, whatever the data say, with what nobody has thought of.
-        simpler: odds for one parameter less, where two effects leave as much.
+        simpler: odds for one parameter less in use, where two effects leave as much.
     """
 
     sharpness: float
@@ -53,13 +53,14 @@ class Evidence:
     Attributes:
         excess: of the base's loss over the noise's.
         left: by effect, share of it that is left with this effect, alone or with others (the least).
-        parameters: by effect, how many it took.
+        parameters: by effect, how many were free.
         unit: what a χ² of 1 is, as a share of the excess (the residuals' colour counted).
         chance: probability that data without an effect gain as much.
         as_given: whether the given model explains the runs no worse than the refitted base does.
         unseen: by effect refitted alone, the share left where each condition is left out of the fits (to first order).
         flexible: by place, the share that a stand-in of many terms there leaves (`ljjax.gap.stand_ins`); empty where
             the effects leave too little to ask.
+        used: by effect, how many of its parameters are told from doing nothing, where known.
     """
 
     excess: float
@@ -70,6 +71,7 @@ class Evidence:
     as_given: bool
     unseen: Mapping[str, float] = field(default_factory=dict)
     flexible: Mapping[str, float] = field(default_factory=dict)
+    used: Mapping[str, int] = field(default_factory=dict)
 
 
 def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
@@ -86,7 +88,8 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
     out[right], out[other] = (1 - ASIDE) * none, ASIDE * none
     blur = 0.004 + 8 * e.unit
     weight = {
-        i: by.simpler ** -e.parameters[i] * (max(left, 0.0) + blur + 2 * e.unit * e.parameters[i]) ** -by.sharpness
+        i: by.simpler ** -e.used.get(i, e.parameters[i])
+        * (max(left, 0.0) + blur + 2 * e.unit * e.parameters[i]) ** -by.sharpness
         for i, left in e.left.items()
     }
     weight["unlisted_effect"] = 0.5 / by.simpler * (by.leaves + blur) ** -by.sharpness

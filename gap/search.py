@@ -29,6 +29,7 @@ FIRST, LAST, WHOLE = 4, 5, 8
 """Iterations for all candidates, by derivatives of the base that stay as they were; of the best; and for the answer."""
 AGAIN, FALLING = 3, 0.1
 """How often the best are taken on, and the share of the loss by which they must still fall for another time."""
+TOLD = 2.0
 Tell = Callable[[str, int, int], None]
 
 
@@ -74,6 +75,17 @@ class Refit:
         c = self.estimate.problem.coordinates
         values = zip(c.names, c.physical(self.estimate.x), strict=True)
         return {p: float(x) for p, x in values if p.startswith("effects.")}
+
+    @cached_property
+    def used(self) -> dict[str, int]:
+        """How many parameters of each effect are off the value that does nothing by more than `TOLD` standard
+        deviations: what it takes in the end, whatever was free. One at least."""
+        out = {}
+        for e in self.effects:
+            nulls = {n: float(about["null"]) for n, about in e.fields().items()}
+            off = [abs(x - nulls[n]) > TOLD * sd for n, (x, sd) in self.values(e.id).items()]
+            out[e.id] = max(sum(off), 1)
+        return out
 
     def _spread(self, effect: str) -> tuple[list[str], np.ndarray]:
         """An effect's free parameters (p names) and their covariance (p, p)."""

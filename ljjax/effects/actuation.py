@@ -145,9 +145,9 @@ class TendonSlack(Effect):
 
 
 class TendonFriction(Effect):
-    """Friction along the routing: joint k feels T exp(∓(ε + μ Σ_{j ≤ k}|q_j| + ν k)), less in the tendon pulled in,
-    more in the one paid out, from the entry, from bends (capstan), from guides; and a drag whatever the load. Each
-    tendon has a channel of its own: ε ± δ_ε, μ ± δ_μ.
+    """Friction along the routing: joint k feels T exp(∓(ε + β|q_Σ| + μ Σ_{j ≤ k}|q_j| + ν k)), less in the tendon pulled
+    in, more in the one paid out, from the entry, from a liner that bends with the body, from bends (capstan), from
+    guides; and a drag whatever the load. Each tendon has a channel of its own: ε ± δ_ε, μ ± δ_μ.
     It turns round within some rotation of the tip, over which tendon and liner stretch. At rest it fades, in that
     rotation over the rate that counts as rest."""
 
@@ -155,6 +155,7 @@ class TendonFriction(Effect):
     mu: jax.Array = parameter("1/rad", 0.0, 0.0, 6.0, 0.2)
     guide: jax.Array = parameter("1", 0.0, 0.0, 0.5, 0.02)
     entry: jax.Array = parameter("1", 0.0, 0.0, 0.9, 0.03)
+    liner: jax.Array = parameter("1/rad", 0.0, 0.0, 3.0, 0.05)
     drag_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.3)
     mu_difference: jax.Array = parameter("1/rad", 0.0, -3.0, 3.0, 0.1)
     entry_difference: jax.Array = parameter("1", 0.0, -0.5, 0.5, 0.02)
@@ -167,9 +168,10 @@ class TendonFriction(Effect):
     def load(self, memory, load, now):
         (way,) = memory
         out, wrapped = [], 0.0 * now.q[0]
+        before = self.entry + self.liner * jnp.abs(sum(now.middle))
         for i, q in enumerate(now.middle):
             wrapped = wrapped + jnp.abs(q)
-            mean = self.entry + self.mu * wrapped + self.guide * (i + 1.0)
+            mean = before + self.mu * wrapped + self.guide * (i + 1.0)
             apart = self.entry_difference + self.mu_difference * wrapped
             pulled, paid = jnp.expm1(-(mean + apart) * way), jnp.expm1((mean - apart) * way)
             lost = now.u[0] * pulled - now.u[1] * paid - self.drag_n * way

@@ -56,14 +56,18 @@ def _power(x: Array, one: float, power: Array) -> Array:
 
 
 class ViscousDamping(Effect):
-    """Damping independent of the vacuum: D q̇ (|q̇|/v₀)^(a − 1), v₀ = 0.3 rad/s; a = 1 is linear."""
+    """Damping independent of the vacuum: D q̇ (|q̇|/v₀)^(a − 1), v₀ = 0.3 rad/s; a = 1 is linear; more of it towards one
+    end of the body by D₁."""
 
     id, block, axes = "viscous_damping", "structure", ("rate", "direction")
     damping: jax.Array = parameter("N·m·s/rad", 0.0, 0.0, 20.0, 0.05)
+    mode1: jax.Array = parameter("N·m·s/rad", 0.0, -5.0, 5.0, 0.02)
     power: jax.Array = shape("1", 1.0, 0.2, 3.0, (0.6, 1.0, 1.8))
 
     def torque(self, memory, i, q, v, stage):
-        return self.damping * v * _power(v, RATE_RAD_S, self.power - 1)
+        none, n = 0.0 * self.mode1, len(stage.q)
+        more = along((self.mode1, none, none, none, none), n)[i]
+        return (self.damping + more) * v * _power(v, RATE_RAD_S, self.power - 1)
 
 
 class StiffnessHardening(Effect):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
@@ -31,6 +32,13 @@ def test_of_effects_that_leave_as_much_the_simpler_one_is_ahead():
     assert p["plain"] > p["rich"] > 0.2
     p = judge.probabilities(evidence({"plain": 0.06, "rich": 0.02}, sizes={"plain": 1, "rich": 3}))
     assert p["rich"] > 0.9
+
+
+def test_what_is_free_but_not_used_is_not_held_against_an_effect():
+    rich = evidence({"plain": 0.03, "rich": 0.02}, sizes={"plain": 1, "rich": 9})
+    assert judge.probabilities(rich)["plain"] > judge.probabilities(rich)["rich"]
+    plain = judge.probabilities(dataclasses.replace(rich, used={"plain": 1, "rich": 2}))
+    assert plain["rich"] > plain["plain"]
 
 
 def test_the_share_left_parts_listed_from_unlisted():

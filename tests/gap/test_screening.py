@@ -103,3 +103,21 @@ def test_what_the_shape_knows_of_two_parameters_together_holds():
     sum_known = 0.05**2 * np.array([[1.0, -1.0], [-1.0, 1.0]]) + 1e-8 * np.eye(2)
     assert (channel.rms_with([Fitted(fitted, free, sum_known)]) or 0.0) > 0.7 * apart
     assert (channel.rms_with([Fitted(fitted, free, 0.05**2 * np.eye(2))]) or 0.0) < 0.05 * apart
+
+
+@pytest.mark.parametrize("real", [0.0, 1.0])
+def test_a_measured_tension_contradicts_what_it_does_not_show(real):
+    """A gain of 2 %, its trace well below the sensor's noise, that the motors have or have not."""
+    kind: Any = REGISTRY["actuator_gain"]
+    command, noise = np.linspace(1.0, 5.0, 4000), 0.1 * np.random.default_rng(0).standard_normal(4000)
+    measured = (1 + 0.02 * real) * command + noise
+
+    def error(_, x: np.ndarray) -> np.ndarray:
+        return (1 + x[:, :1].sum(axis=1, keepdims=True)) * command - measured
+
+    rms = float(np.sqrt(np.mean(error(None, np.zeros((1, 0))) ** 2)))
+    channel = Channel("tension", rms, 0.1, {}, {}, error, np.ones(4000, bool))
+    sure = [Fitted(kind(error=0.02), ["error"], np.array([[1e-8]]))]
+    assert Measured([channel]).joined(0.05, sure) == pytest.approx(0.05 if real else 0.35)
+    hardly = [Fitted(kind(error=1e-4), ["error"], np.array([[1e-8]]))]  # too little to be seen either way
+    assert Measured([channel]).joined(0.05, hardly) == pytest.approx(0.05)
