@@ -145,9 +145,9 @@ class TendonSlack(Effect):
 
 
 class TendonFriction(Effect):
-    """Friction along the routing: joint k feels T exp(∓(ε + β|q_Σ| + μ Σ_{j ≤ k}|q_j| + ν k)), less in the tendon pulled
-    in, more in the one paid out, from the entry, from a liner that bends with the body, from bends (capstan), from
-    guides; and a drag whatever the load. Each tendon has a channel of its own: ε ± δ_ε, μ ± δ_μ.
+    """Friction along the routing: joint k feels T exp(∓(ε + β|q_Σ| + μ Σ_{j ≤ k}|q_j| + ν k)), less in the tendon
+    pulled in, more in the one paid out, from the entry, from a liner that bends with the body, from bends (capstan),
+    from guides; and a drag whatever the load. Each tendon has a channel of its own: ε ± δ_ε, μ ± δ_μ.
     It turns round within some rotation of the tip, over which tendon and liner stretch. At rest it fades, in that
     rotation over the rate that counts as rest."""
 
