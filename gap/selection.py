@@ -81,6 +81,7 @@ class Selection:
         return self._joined[refit]
 
     def unit_of(self, refit: Refit) -> float:
+        """What a χ² of 1 is as a share of the gap, by what a refit leaves."""
         return self.variance_of(refit) / self.gap
 
     def variance_of(self, refit: Refit) -> float:
@@ -95,12 +96,8 @@ class Selection:
         first = self._ahead(screen, LEADERS if self._promising() else FEW)
         first += [screen.best(i) for i in self.measured.speaks if i in screen.ids and screen.best(i) not in first]
         more = [k for k in keys if k not in first and k[0] in {f[0] for f in first[:4]}][:4]
-        trials, steps = [], {}
-        for key in [*first, *more]:
-            trial, step = study.trial(screen, key)
-            trials.append(trial)
-            steps[trial] = step
-        trials += self._heard()
+        steps = self._begun(screen, [*first, *more])
+        trials = [*steps, *self._heard()]
         found = study.refit(self.base.model, trials, screen, steps, finish=4, sure=3)
         least = min((self.own_left(r) for r in found), default=1.0)
         if self.excess > judge.OPEN * self.floor and least > FURTHER:
@@ -126,6 +123,12 @@ class Selection:
         ids = [i for i, _ in (*self._ahead(self.screen, BOLD), *self._ahead(screen, BOLD))]
         trials = [bold(study.trial(screen, screen.best(i))[0], study.kinds) for i in dict.fromkeys(ids)]
         return study.refit(study.start, trials, None, stage="candidates from the given model", finish=3)
+
+    def _begun(
+        self, screen: Screen, keys: Sequence[tuple[str, int]], onto: Refit | None = None
+    ) -> dict[Trial, np.ndarray]:
+        """The trials that start where a screen points, and how far the base moves along with each."""
+        return dict(self.study.trial(screen, key, onto) for key in keys)
 
     @staticmethod
     def _ahead(screen: Screen, count: int) -> list[tuple[str, int]]:
@@ -165,13 +168,8 @@ class Selection:
             if share < max(FURTHER, 15 * unit):
                 break
             on_top = study.screen(found.best)
-            keys = self._ahead(on_top, SECOND)
-            trials, steps = [], {}
-            for key in keys:
-                trial, step = study.trial(on_top, key, found.best)
-                trials.append(trial)
-                steps[trial] = step
-            trials += self._heard(found.best)
+            steps = self._begun(on_top, self._ahead(on_top, SECOND), found.best)
+            trials = [*steps, *self._heard(found.best)]
             if len(found.best.ids) == 1 and share > PAIRS:
                 leaders = [i for i in left if i != found.best.ids[0]][:4]
                 for a, b in ((a, b) for k, a in enumerate(leaders) for b in leaders[k + 1 :]):
@@ -204,9 +202,9 @@ class Selection:
             if like is None:
                 continue
             on_top = study.screen(like)
-            begun = [study.trial(on_top, k, like) for k in self._ahead(on_top, SECOND)]
-            begun = [(t, step) for t, step in begun if tuple(sorted(t.ids)) not in found.joint]
-            for r in study.refit(like.model, [t for t, _ in begun], on_top, dict(begun), "exchanges", finish=2):
+            steps = self._begun(on_top, self._ahead(on_top, SECOND), like)
+            new = [t for t in steps if tuple(sorted(t.ids)) not in found.joint]
+            for r in study.refit(like.model, new, on_top, steps, "exchanges", finish=2):
                 found.joint[tuple(sorted(r.ids))] = r
         rivals = [r for key, r in found.joint.items() if len(key) == len(ids)]
         least = max(min(self.left(r) for r in rivals), 0.0)
