@@ -40,6 +40,8 @@ MATTERS, OPEN = 0.02, 0.21
 does not make, whether or not a candidate explains any of it."""
 ASIDE = 0.03
 """Of no effect's probability, the share of the less likely of `no_gap` and `parameters_only`; chosen by hand."""
+TERMS = 8
+"""How many parameters a flexible stand-in has."""
 FLOOR = 0.04
 """Relative standard deviation that the noise's variance is taken to have; chosen by hand."""
 ALIKE = 1.25
@@ -93,6 +95,9 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
         for i, left in e.left.items()
     }
     weight["unlisted_effect"] = 0.5 / by.simpler * (by.leaves + blur) ** -by.sharpness
+    if e.flexible:
+        decoy = max(min(e.flexible.values()), 0.0) + blur
+        weight["unlisted_effect"] += by.simpler**-TERMS * decoy**-by.sharpness
     total = sum(weight.values())
     rest = 1 - sum(out.values())
     for i, w in weight.items():

@@ -20,6 +20,8 @@ BOLD = 5
 """How many leaders of the base's screen, and how many of the given model's, are begun afresh."""
 AFRESH = 0.3
 """Where the best candidate leaves more than this share of the gap, the leaders are begun from the given model too."""
+WELL, ANEW = 0.05, 3
+"""Where the best leaves more than this share of the gap, how many of them are begun at the given model once more."""
 HEARD = 3
 """How many effects that measured inputs show are begun as they show there."""
 ASTRAY, LOST = 0.98, 8
@@ -99,11 +101,24 @@ class Selection:
         steps = self._begun(screen, [*first, *more])
         trials = [*steps, *self._heard()]
         found = study.refit(self.base.model, trials, screen, steps, finish=4, sure=3)
-        least = min((self.own_left(r) for r in found), default=1.0)
-        if self.excess > judge.OPEN * self.floor and least > FURTHER:
-            found += self._with_care(trials, found)
-            found += self._afresh() if least > AFRESH else []
+        if self.excess > judge.OPEN * self.floor and self._least(found) > WELL:
+            best: dict[tuple[str, ...], Refit] = {}
+            for r in sorted(found, key=lambda r: r.total):
+                best.setdefault(r.ids, r)
+            found += self._anew(list(best.values())[:ANEW])
+            if (least := self._least(found)) > FURTHER:
+                found += self._with_care(trials, found)
+                found += self._afresh() if least > AFRESH else []
         return found
+
+    def _least(self, refits: Sequence[Refit]) -> float:
+        return min((self.own_left(r) for r in refits), default=1.0)
+
+    def _anew(self, refits: Sequence[Refit]) -> list[Refit]:
+        """The same once more, begun at the given model with the effects as they were found: the base's refit, which
+        had to do without them, may have gone where they cannot bring it back from."""
+        trials = [Trial(r.ids, r.free_effects) for r in refits]
+        return self.study.refit(self.study.start, trials, None, stage="the best from the given model", finish=2)
 
     def _with_care(self, trials: Sequence[Trial], found: Sequence[Refit]) -> list[Refit]:
         """Effects no form of which has come below `ASTRAY` of the base's loss though they vanish at it: the first step
@@ -207,6 +222,11 @@ class Selection:
             for r in study.refit(like.model, new, on_top, steps, "exchanges", finish=2):
                 found.joint[tuple(sorted(r.ids))] = r
         rivals = [r for key, r in found.joint.items() if len(key) == len(ids)]
+        if self._least(rivals) > WELL:
+            rivals += self._anew(sorted(rivals, key=self.left)[:ANEW])
+            for r in rivals:
+                key = tuple(sorted(r.ids))
+                found.joint[key] = min(found.joint[key], r, key=lambda x: x.total)
         least = max(min(self.left(r) for r in rivals), 0.0)
         near = [r for r in rivals if self.left(r) <= judge.as_little(least, unit)]
         found.best = min(near, key=lambda r: (sum(r.used.values()), self.left(r)))

@@ -41,6 +41,13 @@ def test_what_is_free_but_not_used_is_not_held_against_an_effect():
     assert plain["rich"] > plain["plain"]
 
 
+def test_a_stand_in_that_leaves_far_less_speaks_for_an_effect_outside_the_library():
+    """One that leaves a little less does not: it has many terms."""
+    for left, answer in ((0.01, "unlisted_effect"), (0.1, "listed_effect"), (0.6, "listed_effect")):
+        decoy = dataclasses.replace(evidence({"contact": 0.12, "base_tilt": 0.9}), flexible={"friction": left})
+        assert judge.verdict(judge.probabilities(decoy)) == answer
+
+
 def test_the_share_left_parts_listed_from_unlisted():
     p = [judge.probabilities(evidence({"contact": x}))["unlisted_effect"] for x in (0.02, 0.1, 0.3, 0.6)]
     assert p == sorted(p)
