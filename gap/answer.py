@@ -40,10 +40,10 @@ def answer(inquiry: Inquiry) -> Diagnosis:
         if simplest != chosen.ids[0] and single[simplest].total <= 1.02 * chosen.total:
             chosen = single[simplest]
             seen[1] = study.predict([chosen], setting.test)[0]
-    rivals = _rivals(inquiry, chosen)
+    rivals, gap = _rivals(inquiry, chosen), _gap(inquiry, chosen, seen)
     return Diagnosis(
         verdict=inquiry.verdict,
-        gap=_gap(inquiry, chosen, seen),
+        gap=gap,
         folds=_folds(inquiry, chosen),
         where=_where(inquiry, chosen),
         effects=_findings(inquiry),
@@ -57,7 +57,7 @@ def answer(inquiry: Inquiry) -> Diagnosis:
         roles=[role_of(r, setting.train, setting.test) for r in setting.runs],
         said=setting.said,
         evidence=inquiry.evidence,
-        warnings=[*setting.warnings, *inquiry.measured.notes, *_warnings(inquiry)],
+        warnings=[*setting.warnings, *inquiry.measured.notes, *_warnings(inquiry), *worse(gap, chosen.ids)],
         seed=setting.seed,
         options=setting.options,
         story=Story(inquiry, chosen, seen),
@@ -199,6 +199,16 @@ def _warnings(inquiry: Inquiry) -> list[str]:
     if not inquiry.base.estimate.converged:
         out.append("the base fit stopped before it converged; take the answer with care")
     return out
+
+
+def worse(gap: Gap, chosen: Sequence[str]) -> list[str]:
+    """What a reader must know where effects that fit the fitted runs make unseen ones worse."""
+    if not chosen or gap.closed_fraction is None or gap.closed_fraction > 0:
+        return []
+    return [
+        f"on {', '.join(gap.held_out_runs)}, which no fit saw, {' and '.join(chosen)} make the error larger, not smaller: "
+        "do not trust the fitted values; log more runs like these and diagnose again"
+    ]
 
 
 def _left_over(inquiry: Inquiry) -> list[str]:

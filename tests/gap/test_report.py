@@ -14,6 +14,7 @@ import pytest
 from ljjax import effects
 from ljjax.data import OCTROBOT
 from ljjax.gap import report
+from ljjax.gap.answer import worse
 from ljjax.gap.layout import layout
 from ljjax.gap.result import LAST, Diagnosis, Finding, Gap, Region
 from ljjax.gap.story import Story, cards, headline
@@ -225,3 +226,11 @@ def test_the_layout_shows_measured_model_and_what_is_left():
     assert sorted(leaves(made["layout"])) == sorted(made["configById"])
     assert all(p["timestampMethod"] == "headerStamp" for x in made["configById"].values() for p in x["paths"])
     assert layout([])["layout"]
+
+
+@pytest.mark.parametrize(("closed", "chosen", "said"), [(-0.4, ["contact"], 1), (0.9, ["contact"], 0), (-0.4, [], 0)])
+def test_effects_that_make_unseen_runs_worse_are_not_left_unsaid(closed, chosen, said):
+    gap = Gap("theta", "rad", 0.002, 0.005, NOISE, closed, (closed, 0.95), ("unseen",))
+    lines = worse(gap, chosen)
+    assert len(lines) == said
+    assert all("unseen" in line and "contact" in line and "do not trust" in line for line in lines)
