@@ -206,8 +206,8 @@ def worse(gap: Gap, chosen: Sequence[str]) -> list[str]:
     if not chosen or gap.closed_fraction is None or gap.closed_fraction > 0:
         return []
     return [
-        f"on {', '.join(gap.held_out_runs)}, which no fit saw, {' and '.join(chosen)} make the error larger, not smaller: "
-        "do not trust the fitted values; log more runs like these and diagnose again"
+        f"on {', '.join(gap.held_out_runs)}, which no fit saw, {' and '.join(chosen)} make the error larger, not "
+        "smaller: do not trust the fitted values; log more runs like these and diagnose again"
     ]
 
 
