@@ -102,13 +102,15 @@ def concentration(place: np.ndarray, gap: np.ndarray) -> float:
 def places(
     found: Estimate, channel: str, contributions: Sequence[tuple[str, Sequence[str], np.ndarray]]
 ) -> list[Region]:
-    """Regions of what effects contribute (N, c): (block, axes, contribution), the largest share first."""
+    """Regions of what effects contribute (N, c): (block, axes, contribution), the largest share first;
+    everywhere, which holds all, only where no axis shows it more plainly."""
     along = coordinates(found)
     total = sum(float((c**2).sum()) for _, _, c in contributions) or 1.0
     out = []
     for block, axes, c in contributions:
         share = float((c**2).sum()) / total
-        for axis, holds in zip(axes, HOLDS, strict=False):
+        shown = axes if axes[0] == "everywhere" else [a for a in axes if a != "everywhere"]
+        for axis, holds in zip(shown, HOLDS, strict=False):
             out.append(region(block, channel, axis, along.get(axis), c, share, holds))
     return sorted(out, key=lambda r: -r.share)
 

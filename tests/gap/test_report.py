@@ -13,7 +13,7 @@ import pytest
 
 from ljjax import effects
 from ljjax.data import OCTROBOT
-from ljjax.gap import report
+from ljjax.gap import report, where
 from ljjax.gap.answer import worse
 from ljjax.gap.layout import layout
 from ljjax.gap.result import LAST, Diagnosis, Finding, Gap, Region
@@ -234,3 +234,18 @@ def test_effects_that_make_unseen_runs_worse_are_not_left_unsaid(closed, chosen,
     lines = worse(gap, chosen)
     assert len(lines) == said
     assert all("unseen" in line and "contact" in line and "do not trust" in line for line in lines)
+
+
+def test_everywhere_is_the_place_only_of_what_no_axis_shows_more_plainly(monkeypatch):
+    """Of two effects one lies at large loads, the other is an offset; half of the gap each."""
+    load = np.linspace(0.0, 10.0, 200)
+    monkeypatch.setattr(where, "coordinates", lambda found: {"load": load, "angle": load[::-1]})
+    loud, offset = np.where(load > 8, 1.0, 0.0)[:, None], np.full((200, 1), 0.2**0.5)
+    found = where.places(
+        None,  # type: ignore[arg-type]
+        "theta",
+        [("actuation", ("load", "everywhere", "angle"), loud), ("sensing", ("everywhere", "angle"), offset)],
+    )
+    assert {(r.block, r.axis) for r in found[:2]} == {("sensing", "everywhere"), ("actuation", "load")}
+    assert ("actuation", "everywhere") not in {(r.block, r.axis) for r in found}
+    assert next(r for r in found if r.axis == "load").range[0] == pytest.approx(8.0, abs=0.5)
