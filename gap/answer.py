@@ -36,7 +36,7 @@ def answer(inquiry: Inquiry) -> Diagnosis:
     equivalent = _equivalent(inquiry)
     if equivalent and len(chosen.ids) == 1:
         single, order = inquiry.found.single, list(effects.REGISTRY)
-        simplest = min(equivalent[0], key=lambda i: (single[i].used[i], order.index(i)))
+        simplest = min(equivalent[0], key=lambda i: (single[i].used[i], single[i].trial.size, order.index(i)))
         if simplest != chosen.ids[0] and single[simplest].total <= 1.02 * chosen.total:
             chosen = single[simplest]
             seen[1] = study.predict([chosen], setting.test)[0]
@@ -203,7 +203,7 @@ def _warnings(inquiry: Inquiry) -> list[str]:
 
 def worse(gap: Gap, chosen: Sequence[str]) -> list[str]:
     """What a reader must know where effects that fit the fitted runs make unseen ones worse."""
-    if not chosen or gap.closed_fraction is None or gap.closed_fraction > 0:
+    if not chosen or gap.after <= max(gap.before, 1.1 * gap.noise_floor):
         return []
     return [
         f"on {', '.join(gap.held_out_runs)}, which no fit saw, {' and '.join(chosen)} make the error larger, not "

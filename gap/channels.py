@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -35,6 +36,10 @@ AGREES, CONTRADICTS, AGAINST = 0.5, 1.3, 0.3
 that puts it further off by this factor; that counts as so much of the gap left."""
 SHOWS, SURE = 0.3, 6.0
 """A channel contradicts, too, an effect of which it shows less than this share, by so many standard deviations."""
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2)))
 
 
 class Fitted(NamedTuple):
@@ -77,42 +82,47 @@ class Channel:
     def rms_with(self, fitted: Sequence[Fitted]) -> float | None:
         """RMS of measured − predicted with the one of these effects that acts here and suits best; None for none. Its
         parameters may move as far as the shape leaves them uncertain."""
-        return min((rms for rms, _ in self._all_suited(fitted)), default=None)
+        return min((_rms(e) for e in self.suited(fitted)), default=None)
 
-    def contradicts(self, fitted: Sequence[Fitted]) -> bool:
-        """Whether what is measured puts further off, or does not show, every effect of these that acts here."""
-        suited = self._all_suited(fitted)
-        bound = CONTRADICTS * max(self.rms, self.noise)
-        return bool(suited) and (min(r for r, _ in suited) > bound or all(self._denies(e) for _, e in suited))
+    def contradicts(self, suited: Sequence[np.ndarray]) -> bool:
+        """Whether what is measured puts further off every effect that acts here, or hardly shows what they predict
+        together, from `suited`."""
+        if not suited:
+            return False
+        together = self._before + sum(e - self._before for e in suited)
+        return min(_rms(e) for e in suited) > CONTRADICTS * max(self.rms, self.noise) or self._denies(together)
+
+    @cached_property
+    def _before(self) -> np.ndarray:
+        return self.error(None, np.zeros((1, 0)))[0, self.inside]
 
     def _denies(self, error: np.ndarray) -> bool:
-        """Whether the measured way from the command has hardly any of that which an effect predicts, from the errors
-        (N,) with it."""
-        before = self.error(None, np.zeros((1, 0)))[0, self.inside]
-        predicted = error - before
+        """Whether the measured way from the command has hardly any of that which is predicted, from the errors (N,)
+        with it."""
+        predicted = error - self._before
         much = float(predicted @ predicted)
-        return -float(predicted @ before) + SURE * self.noise * np.sqrt(much) < SHOWS * much
+        return -float(predicted @ self._before) + SURE * self.noise * np.sqrt(much) < SHOWS * much
 
-    def _all_suited(self, fitted: Sequence[Fitted]) -> list[tuple[float, np.ndarray]]:
+    def suited(self, fitted: Sequence[Fitted]) -> list[np.ndarray]:
+        """(N,) errors with each of these effects that acts here."""
         hook = "actuate" if self.name == "tension" else "evacuate"
         return [self._suited(f) for f in fitted if _acts(type(f.effect), hook)]
 
-    def _suited(self, fitted: Fitted) -> tuple[float, np.ndarray]:
-        """RMS and (N,) errors with an effect, its parameters moved where that helps."""
+    def _suited(self, fitted: Fitted) -> np.ndarray:
         kind, about = type(fitted.effect), fitted.effect.fields()
         x0 = np.array([float(getattr(fitted.effect, n)) for n in about])
         error = self.error(kind, x0[None])[0, self.inside]
-        first = float(np.sqrt(np.mean(error**2)))
-        could = self.left.get(kind.id, 1.0) < AGREES
-        if self.leaves(first) < AGREES or not could and first <= CONTRADICTS * max(self.rms, self.noise):
-            return first, error
+        first = _rms(error)
+        close = first <= CONTRADICTS * max(self.rms, self.noise) and not self._denies(error)
+        if self.leaves(first) < AGREES or self.left.get(kind.id, 1.0) >= AGREES and close:
+            return error
         known = np.diag([(0.02 * about[n]["scale"]) ** 2 for n in fitted.free])
         finite = np.all(np.isfinite(fitted.covariance))
         values, vectors = np.linalg.eigh(known + (fitted.covariance if finite else 0.0))
         ways = np.zeros((len(about), len(values)))
         ways[[list(about).index(n) for n in fitted.free]] = 3 * vectors * np.sqrt(np.maximum(values, 0.0))
         rms, x = self.fit(kind, x0, ways, -1.0, 1.0)
-        return (rms, self.error(kind, x[None])[0, self.inside]) if rms < first else (first, error)
+        return self.error(kind, x[None])[0, self.inside] if rms < first else error
 
     def fit(
         self, kind: type[Effect], x0: np.ndarray, ways: np.ndarray, low: float | np.ndarray, high: float | np.ndarray
@@ -184,11 +194,13 @@ class Measured:
         """The share left of the shape's gap, and what channels that are heard or contradicted add to it."""
         out = left
         for c in self.channels:
+            if c.name not in self.heard and c.name != "tension":
+                continue
+            suited = c.suited(fitted)
             if c.name in self.heard:
-                rms = c.rms_with(fitted)
-                untold = 1.0 if rms is None else min(c.leaves(rms), 1.0)
-                out += UNTOLD * untold * (max(left, 0.0) + BESIDE)
-            if c.name == "tension" and c.contradicts(fitted):
+                untold = min((c.leaves(_rms(e)) for e in suited), default=1.0)
+                out += UNTOLD * min(untold, 1.0) * (max(left, 0.0) + BESIDE)
+            if c.name == "tension" and c.contradicts(suited):
                 out += AGAINST
         return out
 

@@ -150,8 +150,9 @@ class Inquiry:
                 else:
                     left[i] = left[i] / max(least_alone, 1e-9) * max(least_alone, 0.5)
             for place, i, r in found.exchanged:
-                left[i] = min(left[i], self.left(r) + behind[place])
-                size[i], used[i] = sum(p.startswith(f"effects.{i}.") for p in r.trial.start), r.used[i]
+                if (as_it_does := self.left(r) + behind[place]) < left[i]:
+                    left[i], used[i] = as_it_does, r.used[i]
+                    size[i] = sum(p.startswith(f"effects.{i}.") for p in r.trial.start)
         chance = judge.chance(self.null, max(self.gained.values(), default=0.0), self.one)
         count = len(self.setting.study.names)
         worse = (self.given.total - self.base.total) / max(self.selection.variance_of(self.base), 1e-12)

@@ -41,7 +41,7 @@ does not make, whether or not a candidate explains any of it."""
 ASIDE = 0.03
 """Of no effect's probability, the share of the less likely of `no_gap` and `parameters_only`; chosen by hand."""
 TERMS = 8
-"""How many parameters a flexible stand-in has."""
+"""How many parameters a flexible stand-in is taken to have."""
 FLOOR = 0.04
 """Relative standard deviation that the noise's variance is taken to have; chosen by hand."""
 ALIKE = 1.25
@@ -96,7 +96,7 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
     }
     weight["unlisted_effect"] = 0.5 / by.simpler * (by.leaves + blur) ** -by.sharpness
     if e.flexible:
-        decoy = max(min(e.flexible.values()), 0.0) + blur
+        decoy = max(min(e.flexible.values()), 0.0) + blur + 2 * e.unit * TERMS
         weight["unlisted_effect"] += by.simpler**-TERMS * decoy**-by.sharpness
     total = sum(weight.values())
     rest = 1 - sum(out.values())

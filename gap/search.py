@@ -30,6 +30,7 @@ FIRST, LAST, WHOLE = 4, 5, 8
 AGAIN, FALLING = 3, 0.1
 """How often the best are taken on, and the share of the loss by which they must still fall for another time."""
 TOLD = 2.0
+"""Standard deviations from which a parameter counts as told from its null, or a form from its usual value."""
 Tell = Callable[[str, int, int], None]
 
 
@@ -78,8 +79,8 @@ class Refit:
 
     @cached_property
     def used(self) -> dict[str, int]:
-        """How many parameters of each effect are off the value that does nothing by more than `TOLD` standard
-        deviations: what it takes in the end, whatever was free. One at least."""
+        """How many parameters of each effect are told from their null, or usual value: what it needs, whatever was
+        free. One at least."""
         out = {}
         for e in self.effects:
             nulls = {n: float(about["null"]) for n, about in e.fields().items()}

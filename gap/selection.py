@@ -229,7 +229,7 @@ class Selection:
                 found.joint[key] = min(found.joint[key], r, key=lambda x: x.total)
         least = max(min(self.left(r) for r in rivals), 0.0)
         near = [r for r in rivals if self.left(r) <= judge.as_little(least, unit)]
-        found.best = min(near, key=lambda r: (sum(r.used.values()), self.left(r)))
+        found.best = min(near, key=lambda r: (sum(r.used.values()), r.trial.size, self.left(r)))
 
     def _pruned(self, best: Refit, unit: float) -> Refit:
         """Backward: without each of the effects, where the others do nearly as well without it."""

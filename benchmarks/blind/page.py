@@ -19,8 +19,8 @@ page is written by
 ```
 
 and holds whatever came out, failures included. A share of few cases is known roughly: the interval beside it is
-Wilson's, of 95 %. The simulators' shapes are a fixed set. Robots of seeds before this one have been opened, and where the
-diagnosis missed for want of a form it was added, so expect less of shapes that nobody here has met.
+Wilson's, of 95 %. The simulators' shapes are a fixed set. Robots of seeds before this one have been opened, and where
+the diagnosis missed for want of a form it was added, so expect less of shapes that nobody here has met.
 
 """
 MARK = {True: "met", False: "**missed**", None: "no cases"}

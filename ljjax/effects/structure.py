@@ -57,7 +57,7 @@ def _power(x: Array, one: float, power: Array) -> Array:
 
 class ViscousDamping(Effect):
     """Damping independent of the vacuum: D q̇ (|q̇|/v₀)^(a − 1), v₀ = 0.3 rad/s; a = 1 is linear; more of it towards one
-    end of the body by D₁."""
+    end of the body by D₁, none where that would be less than none."""
 
     id, block, axes = "viscous_damping", "structure", ("rate", "direction")
     damping: jax.Array = parameter("N·m·s/rad", 0.0, 0.0, 20.0, 0.05)
@@ -66,8 +66,8 @@ class ViscousDamping(Effect):
 
     def torque(self, memory, i, q, v, stage):
         none, n = 0.0 * self.mode1, len(stage.q)
-        more = along((self.mode1, none, none, none, none), n)[i]
-        return (self.damping + more) * v * _power(v, RATE_RAD_S, self.power - 1)
+        here = self.damping + along((self.mode1, none, none, none, none), n)[i]
+        return jnp.where(here < 0, none, here) * v * _power(v, RATE_RAD_S, self.power - 1)
 
 
 class StiffnessHardening(Effect):

@@ -46,6 +46,10 @@ def test_a_stand_in_that_leaves_far_less_speaks_for_an_effect_outside_the_librar
     for left, answer in ((0.01, "unlisted_effect"), (0.1, "listed_effect"), (0.6, "listed_effect")):
         decoy = dataclasses.replace(evidence({"contact": 0.12, "base_tilt": 0.9}), flexible={"friction": left})
         assert judge.verdict(judge.probabilities(decoy)) == answer
+    loud = dataclasses.replace(evidence({"contact": 0.12}, sizes={"contact": 3}), flexible={"body": 0.05})
+    quiet = dataclasses.replace(loud, unit=3.4e-3)  # where chance alone takes that much for so many terms
+    assert judge.verdict(judge.probabilities(loud)) == "unlisted_effect"
+    assert judge.verdict(judge.probabilities(quiet)) == "listed_effect"
 
 
 def test_the_share_left_parts_listed_from_unlisted():

@@ -228,12 +228,17 @@ def test_the_layout_shows_measured_model_and_what_is_left():
     assert layout([])["layout"]
 
 
-@pytest.mark.parametrize(("closed", "chosen", "said"), [(-0.4, ["contact"], 1), (0.9, ["contact"], 0), (-0.4, [], 0)])
-def test_effects_that_make_unseen_runs_worse_are_not_left_unsaid(closed, chosen, said):
-    gap = Gap("theta", "rad", 0.002, 0.005, NOISE, closed, (closed, 0.95), ("unseen",))
+@pytest.mark.parametrize(
+    ("before", "after", "chosen", "said"),
+    [(2.0, 5.0, ["contact"], 1), (1.05, 3.0, ["contact"], 1), (5.0, 2.0, ["contact"], 0), (1.0, 1.02, ["contact"], 0)],
+)
+def test_effects_that_make_unseen_runs_worse_are_not_left_unsaid(before, after, chosen, said):
+    """Errors in units of the noise, near which there is no closed fraction."""
+    gap = Gap("theta", "rad", before * NOISE, after * NOISE, NOISE, None, None, ("unseen",))
     lines = worse(gap, chosen)
     assert len(lines) == said
     assert all("unseen" in line and "contact" in line and "do not trust" in line for line in lines)
+    assert worse(gap, []) == []
 
 
 def test_everywhere_is_the_place_only_of_what_no_axis_shows_more_plainly(monkeypatch):

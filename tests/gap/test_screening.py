@@ -116,8 +116,12 @@ def test_a_measured_tension_contradicts_what_it_does_not_show(real):
         return (1 + x[:, :1].sum(axis=1, keepdims=True)) * command - measured
 
     rms = float(np.sqrt(np.mean(error(None, np.zeros((1, 0))) ** 2)))
-    channel = Channel("tension", rms, 0.1, {}, {}, error, np.ones(4000, bool))
-    sure = [Fitted(kind(error=0.02), ["error"], np.array([[1e-8]]))]
-    assert Measured([channel]).joined(0.05, sure) == pytest.approx(0.05 if real else 0.35)
-    hardly = [Fitted(kind(error=1e-4), ["error"], np.array([[1e-8]]))]  # too little to be seen either way
-    assert Measured([channel]).joined(0.05, hardly) == pytest.approx(0.05)
+    tension = Measured([Channel("tension", rms, 0.1, {}, {}, error, np.ones(4000, bool))])
+
+    def gain(value: float, sd: float = 1e-4) -> Fitted:
+        return Fitted(kind(error=value), ["error"], np.array([[sd**2]]))
+
+    assert tension.joined(0.05, [gain(0.02)]) == pytest.approx(0.05 if real else 0.35)
+    assert tension.joined(0.05, [gain(0.02), gain(1e-6)]) == tension.joined(0.05, [gain(0.02)])  # beside a dummy too
+    assert tension.joined(0.05, [gain(1e-4)]) == pytest.approx(0.05)  # too little to be seen either way
+    assert tension.joined(0.05, [gain(0.02, sd=0.05)]) == pytest.approx(0.05)  # the shape would have it otherwise too
