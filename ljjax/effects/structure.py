@@ -65,7 +65,7 @@ class ViscousDamping(Effect):
     power: jax.Array = shape("1", 1.0, 0.2, 3.0, (0.6, 1.0, 1.8))
 
     def torque(self, memory, i, q, v, stage):
-        none, n = 0.0 * self.mode1, len(stage.q)
+        none, n = 0.0 * self.mode1, len(stage.alpha2)
         here = self.damping + along((self.mode1, none, none, none, none), n)[i]
         return jnp.where(here < 0, none, here) * v * _power(v, RATE_RAD_S, self.power - 1)
 
