@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from ljjax.inputs import Inputs
 from ljjax.logs.run import Run, Signal
@@ -57,3 +60,13 @@ def assert_same(one: Sweep, two: Sweep, but: tuple[str, ...] = ()) -> None:
     assert {k: v for k, v in one.attributes.items() if k not in but} == {
         k: v for k, v in two.attributes.items() if k not in but
     }
+
+
+@pytest.fixture(scope="module")
+def model(robot: Callable[..., Model]) -> Model:
+    return robot(1)
+
+
+@pytest.fixture(scope="module")
+def grid(model: Model) -> Sweep:
+    return swept(model)

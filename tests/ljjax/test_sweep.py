@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,24 +15,15 @@ from ljjax import sweep_run
 from ljjax.dynamics import State
 from ljjax.errors import InputError
 from ljjax.inputs import Inputs
-from ljjax.model import Model, replace
+from ljjax.model import replace
 from ljjax.simulation import SENSITIVE_RAD, rest, simulate
-from ljjax.sweep import Sweep, sweep
+from ljjax.sweep import sweep
 from ljjax.sweep_plan import parse, plan, read_columns
 from ljjax.sweep_report import explained
 from ljjax.sweep_result import STATUS
 from tests.ljjax.sweeps import C5, MU, STEP, VARY, bend, logged, standing, swept
-
-
-@pytest.fixture(scope="module")
-def model(robot: Callable[..., Model]) -> Model:
-    return robot(1)
-
-
-@pytest.fixture(scope="module")
-def grid(model: Model) -> Sweep:
-    return swept(model)
-
+from tests.ljjax.sweeps import grid as grid
+from tests.ljjax.sweeps import model as model
 
 # --- which elements
 

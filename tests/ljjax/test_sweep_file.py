@@ -6,7 +6,6 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,20 +17,11 @@ from ljjax.cli import main
 from ljjax.errors import InputError
 from ljjax.model import Model, replace
 from ljjax.modelfile import ModelFile, dumps
-from ljjax.sweep import Sweep, load
+from ljjax.sweep import load
 from ljjax.sweep_result import OUTPUTS
 from tests.ljjax.sweeps import C5, MU, STEP, VARY, assert_same, bend, swept
-
-
-@pytest.fixture(scope="module")
-def model(robot: Callable[..., Model]) -> Model:
-    return robot(1)
-
-
-@pytest.fixture(scope="module")
-def grid(model: Model) -> Sweep:
-    return swept(model)
-
+from tests.ljjax.sweeps import grid as grid
+from tests.ljjax.sweeps import model as model
 
 # --- the file
 
