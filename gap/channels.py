@@ -34,8 +34,9 @@ explain that channel then counts as if it left so many times more, and so much m
 AGREES, CONTRADICTS, AGAINST = 0.5, 1.3, 0.3
 """A channel confirms an effect that leaves less than this share of its distance from the command, and contradicts one
 that puts it further off by this factor; that counts as so much of the gap left."""
-SHOWS, SURE = 0.3, 6.0
-"""A channel contradicts, too, an effect of which it shows less than this share, by so many standard deviations."""
+SHOWS, SURE, ALIKE = 0.3, 6.0, 1e-6
+"""A channel contradicts, too, an effect of which it shows less than this share, by so many standard deviations. Least
+squared length of what part of effects' predictions of length 1 is their own."""
 
 
 def _rms(x: np.ndarray) -> float:
@@ -86,22 +87,28 @@ class Channel:
 
     def contradicts(self, suited: Sequence[np.ndarray]) -> bool:
         """Whether what is measured puts further off every effect that acts here, or hardly shows what they predict
-        together, from `suited`."""
+        together or what one of them does beside the others, from `suited`."""
         if not suited:
             return False
+        further = min(_rms(e) for e in suited) > CONTRADICTS * max(self.rms, self.noise)
         together = self._before + sum(e - self._before for e in suited)
-        return min(_rms(e) for e in suited) > CONTRADICTS * max(self.rms, self.noise) or self._denies(together)
+        return further or self._denies(together) or self._denies(*suited)
 
     @cached_property
     def _before(self) -> np.ndarray:
         return self.error(None, np.zeros((1, 0)))[0, self.inside]
 
-    def _denies(self, error: np.ndarray) -> bool:
-        """Whether the measured way from the command has hardly any of that which is predicted, from the errors (N,)
-        with it."""
-        predicted = error - self._before
-        much = float(predicted @ predicted)
-        return -float(predicted @ self._before) + SURE * self.noise * np.sqrt(much) < SHOWS * much
+    def _denies(self, *errors: np.ndarray) -> bool:
+        """Whether the measured way from the command has hardly any of what one of these effects predicts, from the
+        errors (N,) with each: a regression on all of them; what looks alike in it is not denied."""
+        predicted = np.stack(errors) - self._before
+        size = np.linalg.norm(predicted, axis=1)
+        predicted = predicted[size > 0] / size[size > 0, None]
+        values, vectors = np.linalg.eigh(predicted @ predicted.T)
+        values = np.maximum(values, ALIKE)
+        shown = vectors @ (vectors.T @ (predicted @ -self._before) / values)
+        doubt = self.noise * np.sqrt(np.sum(vectors**2 / values, axis=1))
+        return bool(np.any(shown + SURE * doubt < SHOWS * size[size > 0]))
 
     def suited(self, fitted: Sequence[Fitted]) -> list[np.ndarray]:
         """(N,) errors with each of these effects that acts here."""

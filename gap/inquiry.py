@@ -16,12 +16,13 @@ from ljjax.gap.candidates import Trial
 from ljjax.gap.channels import Measured
 from ljjax.gap.search import Refit, Study
 from ljjax.gap.selection import Selection
-from ljjax.gap.stand_ins import stand_in
+from ljjax.gap.stand_ins import QUICK, STAND_INS, stand_in
 from ljjax.logs import Run
 from ljjax.modelfile import ModelFile
 
-LEFT_OVER = 0.1
-"""The share of the gap that is worth telling of where the effects found leave it."""
+LEFT_OVER, SOME = 0.1, 0.01
+"""The share of the gap that is worth telling of where the effects found leave it, and from which stand-ins of few terms
+are asked."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +166,8 @@ class Inquiry:
 
     def _flexible(self) -> dict[str, float]:
         """By place, what a stand-in there leaves of the shape's gap; where the effects found leave little, nothing."""
-        if self.excess < judge.OPEN * self.floor or self.own_left(self.found.best) < LEFT_OVER:
+        study, left = self.setting.study, self.own_left(self.found.best)
+        if self.excess < judge.OPEN * self.floor or left < SOME:
             return {}
-        found = stand_in(self.setting.study, self.base)
+        found = stand_in(study, self.base, QUICK) | (stand_in(study, self.base, STAND_INS) if left > LEFT_OVER else {})
         return {place: min(self.own_left(r), 1.0) for place, r in found.items()}

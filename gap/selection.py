@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -201,8 +202,7 @@ class Selection:
             if not judge.pairs_worth(share, self.left(better), unit):
                 break
             found.best = better
-        if len(found.best.ids) > 2:
-            found.best = self._pruned(found.best, unit)
+        self._prune(found, unit)
         if len(found.best.ids) > 1:
             self._exchange(found)
         return found
@@ -231,14 +231,22 @@ class Selection:
         near = [r for r in rivals if self.left(r) <= judge.as_little(least, unit)]
         found.best = min(near, key=lambda r: (sum(r.used.values()), r.trial.size, self.left(r)))
 
-    def _pruned(self, best: Refit, unit: float) -> Refit:
-        """Backward: without each of the effects, where the others do nearly as well without it."""
-        start = best.trial.start
+    def _prune(self, found: Found, unit: float) -> None:
+        """Backward: without each of several effects, where the others do nearly as well from where they came to."""
+        best = found.best
+        if len(best.ids) < 2:
+            return
+        fitted = best.free_effects
         fewer = [
-            Trial(tuple(i for i in best.ids if i != out), {p: x for p, x in start.items() if p.split(".")[1] != out})
+            Trial(tuple(i for i in best.ids if i != out), {p: x for p, x in fitted.items() if p.split(".")[1] != out})
             for out in best.ids
         ]
         for r in self.study.refit(best.model, fewer, self.screen, stage="pruning"):
-            if not judge.pairs_worth(self.left(r), self.left(best), unit):
-                best = r
-        return best
+            place: dict[Any, Refit] = found.single if len(r.ids) == 1 else found.joint
+            key = r.ids[0] if len(r.ids) == 1 else tuple(sorted(r.ids))
+            if key not in place or r.total < place[key].total:
+                place[key] = r
+            if not judge.pairs_worth(self.left(r), self.left(best), unit) and (
+                found.best is best or self.left(r) < self.left(found.best)
+            ):
+                found.best = r

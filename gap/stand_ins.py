@@ -7,11 +7,12 @@ lags, relays and drifts at one place, the base refitted with them. They are neve
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 
-from ljjax.effect import Effect, parameter
+from ljjax.effect import Effect, parameter, shape
 from ljjax.effects.shapes import lagged, positive, turned
 from ljjax.gap.candidates import CAUTIOUS, cautious
 from ljjax.gap.search import Refit, Study
@@ -131,6 +132,26 @@ class AtBody(Effect):
         )
 
 
+class InWaves(Effect):
+    """Torques in waves over each joint's bend: detents, layers that catch and snap."""
+
+    id, block = "stand_in_body_in_waves", "structure"
+    sine: jax.Array = _torque()
+    cosine: jax.Array = _torque()
+    sine2: jax.Array = _torque()
+    cosine2: jax.Array = _torque()
+    waves: jax.Array = shape("1/rad", 15.0, 2.0, 200.0, (5.0, 8.0, 12.0, 18.0, 27.0, 40.0), "waves")
+
+    def load(self, memory, load, now):
+        out = []
+        for x, q in zip(load, now.middle, strict=True):
+            phase = self.waves * len(now.middle) * q
+            s, c = jnp.sin(phase), jnp.cos(phase)
+            wave = self.sine * s + self.cosine * c + 2 * self.sine2 * s * c + self.cosine2 * (c * c - s * s)
+            out.append(x - wave)
+        return tuple(out)
+
+
 class AtFriction(Effect):
     """The friction's scale over bend, direction, vacuum, load and time, and torques of the rate beside it."""
 
@@ -193,21 +214,23 @@ class AtSensor(Effect):
 
 
 STAND_INS: tuple[type[Effect], ...] = (AtTendons, AtVacuum, AtBody, AtFriction, AtSensor)
-PLACES = {k.id: k.id.removeprefix("stand_in_") for k in STAND_INS}
-BLOCKS = {PLACES[k.id]: k.block for k in STAND_INS}
+QUICK: tuple[type[Effect], ...] = (InWaves,)
+"""Of few terms: asked even where the effects found leave little."""
+PLACES = {k.id: k.id.removeprefix("stand_in_").replace("_", " ") for k in (*STAND_INS, *QUICK)}
+BLOCKS = {PLACES[k.id]: k.block for k in (*STAND_INS, *QUICK)}
 FINISH = 3
 """How many of them are refitted to their end."""
 
 
-def stand_in(study: Study, base: Refit) -> dict[str, Refit]:
-    """The base of a study refitted with each stand-in, by place: `tendons`, `vacuum`, `body`, `friction`, `sensor`.
-    Those that fail are left out."""
-    flexible = dataclasses.replace(study, kinds=STAND_INS)
+def stand_in(study: Study, base: Refit, kinds: Sequence[type[Effect]] = STAND_INS) -> dict[str, Refit]:
+    """The base of a study refitted with each stand-in of `kinds`, by its place in `PLACES`. Those that fail are left
+    out."""
+    flexible = dataclasses.replace(study, kinds=kinds)
     screen = flexible.screen(base)
     trials, steps = [], {}
     for key in map(screen.best, screen.ids):
         trial, step = flexible.trial(screen, key)
-        trial = cautious(trial, STAND_INS)  # many terms at once carry the first step far beyond where it holds
+        trial = cautious(trial, kinds)  # many terms at once carry the first step far beyond where it holds
         trials.append(trial)
         steps[trial] = CAUTIOUS * step
     found = flexible.refit(base.model, trials, screen, steps, "stand-ins", finish=FINISH)

@@ -125,3 +125,24 @@ def test_a_measured_tension_contradicts_what_it_does_not_show(real):
     assert tension.joined(0.05, [gain(0.02), gain(1e-6)]) == tension.joined(0.05, [gain(0.02)])  # beside a dummy too
     assert tension.joined(0.05, [gain(1e-4)]) == pytest.approx(0.05)  # too little to be seen either way
     assert tension.joined(0.05, [gain(0.02, sd=0.05)]) == pytest.approx(0.05)  # the shape would have it otherwise too
+
+
+@pytest.mark.parametrize("real", [0.0, 1.0])
+def test_what_a_measured_tension_does_show_hides_nothing_that_it_does_not(real):
+    """A gain of 2 % that the motors have or have not, beside a lag that they have."""
+    gain, lag = REGISTRY["actuator_gain"], REGISTRY["actuator_lag"]
+    command, noise = np.linspace(1.0, 5.0, 4000), 0.1 * np.random.default_rng(0).standard_normal(4000)
+    late = np.sin(np.arange(4000))
+    measured = (1 + 0.02 * real) * command + 0.2 * late + noise
+
+    def error(kind, x: np.ndarray) -> np.ndarray:
+        if kind is None:
+            return np.zeros((len(x), 1)) + command - measured
+        return command - measured + x[:, :1] * (command if kind is gain else late)
+
+    rms = float(np.sqrt(np.mean(error(None, np.zeros((1, 0))) ** 2)))
+    tension = Measured([Channel("tension", rms, 0.1, {}, {}, error, np.ones(4000, bool))])
+    known = np.array([[1e-8]])
+    both = [Fitted(gain(error=0.02), ["error"], known), Fitted(lag(tau_s=0.2), ["tau_s"], known)]
+    assert tension.joined(0.05, both[1:]) == pytest.approx(0.05)
+    assert tension.joined(0.05, both) == pytest.approx(0.05 if real else 0.35)

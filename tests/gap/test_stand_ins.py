@@ -3,40 +3,72 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from ljjax import modelfile
+from ljjax.effect import Effect
 from ljjax.fit.run import prepared
 from ljjax.gap.answer import _pointed
 from ljjax.gap.data import span
 from ljjax.gap.judge import Evidence
 from ljjax.gap.search import Study
-from ljjax.gap.stand_ins import BLOCKS, PLACES, STAND_INS, stand_in
+from ljjax.gap.stand_ins import BLOCKS, PLACES, QUICK, STAND_INS, stand_in
 from ljjax.logs import find, read_all
+from ljjax.replay import replay
 from tests.gap.test_diagnose import record
 from tests.ljjax.conftest import make_robot
 from tests.ljjax.test_effects import drive, seen
 
 
 def test_at_their_nulls_nothing_changes():
-    model = dataclasses.replace(make_robot(), effects=tuple(kind() for kind in STAND_INS))
+    model = dataclasses.replace(make_robot(), effects=tuple(kind() for kind in (*STAND_INS, *QUICK)))
     np.testing.assert_allclose(seen(model, drive()), seen(make_robot(), drive()), rtol=0, atol=1e-13)
 
 
-def test_the_place_of_a_slow_sheath_is_the_vacuum(tmp_path):
-    folder = record(tmp_path / "robot", tau=0.35)
+class Snapping(Effect):
+    """A body whose layers catch and snap every 5° of a joint's bend."""
+
+    id, block = "snapping", "structure"
+
+    def load(self, memory, load, now):
+        phase = [2 * jnp.pi * q / np.radians(5.0) for q in now.middle]
+        return tuple(x - 0.01 * jnp.sin(p) / (1.4 - jnp.cos(p)) for x, p in zip(load, phase, strict=True))
+
+
+def prepared_study(folder: Path, effect: Effect | None = None) -> Study:
+    """Of the recorded robot, or of a simulated one with an effect on the same drives."""
     start = modelfile.load(folder / "nominal.toml")
     case = prepared(start, "nominal.toml", read_all(find([str(folder / "train")])), (), start.frozen, "commands")
     assert not isinstance(case, list)
     runs, c = case.problem.motions, case.problem.coordinates
-    study = Study(start.model, c.names, STAND_INS, runs, c.pressure, span(runs), start.bounds, start.priors)
-    base = study.base()
-    floor = study.floor(sum(len(m.t) for m in runs))
-    left = {place: (r.total - floor) / (base.total - floor) for place, r in stand_in(study, base).items()}
+    if effect:
+        rng, model = np.random.default_rng(5), dataclasses.replace(start.model, effects=(effect,))
+        clean = [replay(model, m.run)["/sim"]["shape"].value for m in runs]
+        runs = [
+            dataclasses.replace(m, y=y + m.noise * rng.standard_normal(y.shape))
+            for m, y in zip(runs, clean, strict=True)
+        ]
+    return Study(start.model, c.names, STAND_INS, runs, c.pressure, span(runs), start.bounds, start.priors)
+
+
+def leftovers(study: Study, kinds=STAND_INS) -> dict[str, float]:
+    base, floor = study.base(), study.floor(sum(len(m.t) for m in study.motions))
+    return {place: (r.total - floor) / (base.total - floor) for place, r in stand_in(study, base, kinds).items()}
+
+
+def test_the_place_of_a_slow_sheath_is_the_vacuum(tmp_path):
+    left = leftovers(prepared_study(record(tmp_path / "robot", tau=0.35)))
     assert min(left, key=lambda p: left[p]) == "vacuum" and left["vacuum"] < 0.3
     assert set(left) <= set(PLACES.values()) == set(BLOCKS)
+
+
+def test_a_body_that_snaps_is_met_by_waves_of_its_own_bend(tmp_path):
+    left = leftovers(prepared_study(record(tmp_path / "robot"), Snapping()), QUICK)
+    assert left["body in waves"] < 0.2
 
 
 @pytest.mark.parametrize(
