@@ -130,7 +130,8 @@ def test_a_measured_tension_contradicts_what_it_does_not_show(real):
 @pytest.mark.parametrize("real", [0.0, 1.0])
 def test_what_a_measured_tension_does_show_hides_nothing_that_it_does_not(real):
     """A gain of 2 % that the motors have or have not, beside a lag that they have."""
-    gain, lag = REGISTRY["actuator_gain"], REGISTRY["actuator_lag"]
+    gain: Any = REGISTRY["actuator_gain"]
+    lag: Any = REGISTRY["actuator_lag"]
     command, noise = np.linspace(1.0, 5.0, 4000), 0.1 * np.random.default_rng(0).standard_normal(4000)
     late = np.sin(np.arange(4000))
     measured = (1 + 0.02 * real) * command + 0.2 * late + noise
