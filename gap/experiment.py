@@ -104,7 +104,8 @@ def planned(study: Study, name: str, what: tuple[str, np.ndarray, np.ndarray]) -
 
 
 def next_experiment(study: Study, rivals: Sequence[Refit], names: Sequence[str]) -> dict[str, Any] | None:
-    """The protocol that parts the first two of `rivals`, named `names`, best; None for fewer than two.
+    """The protocol that parts the first two of `rivals`, named `names`, best; None for fewer than two, or where either
+    simulates on no protocol.
 
     `expected_separation` is the RMS difference of what they predict in units of the measurements' noise.
     """
@@ -117,7 +118,9 @@ def next_experiment(study: Study, rivals: Sequence[Refit], names: Sequence[str])
     edges = np.cumsum([0, *sizes])
     difference = ((first - second) / study.noise) ** 2
     separation = [float(np.sqrt(difference[a:b].mean())) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    best = int(np.nanargmax(separation))
+    if not np.any(np.isfinite(separation)):
+        return None
+    best = int(np.argmax(np.where(np.isfinite(separation), separation, -1.0)))
     name, (words, _, _) = list(plans.items())[best]
     return {
         "protocol": name,

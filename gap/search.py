@@ -251,20 +251,14 @@ class Study:
         return [p.split(".")[2] for p in refit.trial.start if p.split(".")[1] == effect]
 
     def predict(self, refits: Sequence[Refit], motions: Sequence[Motion], settle: bool = False) -> list[Estimate]:
-        """What refits say of other runs, without fitting anything to them but, if asked for, where each run starts."""
+        """The estimates of refits, but of other runs (not finite where a model does not simulate), without fitting
+        anything to them but, if asked for, where each run starts: what they predict is of these runs, what they know
+        (covariance, scale of the residuals) of the runs fitted; no derivatives."""
         asked = []
         for r in refits:
             c = r.estimate.problem.coordinates
-            asked.append(
-                _seen(
-                    Search(
-                        Problem(Coordinates(self._whole(r.model), c.names, self.pressure), motions),
-                        cut(motions, QUICK.step_s),
-                        QUICK,
-                    ),
-                    settle,
-                )
-            )
+            problem = Problem(Coordinates(self._whole(r.model), c.names, self.pressure), motions)
+            asked.append(_seen(Search(problem, cut(motions, QUICK.step_s), QUICK), settle, r.estimate))
         found = together(asked, self._tell("unseen runs"))
         for f in found:
             if isinstance(f, Exception):
@@ -301,9 +295,20 @@ def _chord(problem: Problem, x: np.ndarray, iterations: int, borrowed: np.ndarra
     return dataclasses.replace(search.result(history), converged=False)
 
 
-def _seen(search: Search, settle: bool) -> Asking[Estimate]:
+def _seen(search: Search, settle: bool, fitted: Estimate) -> Asking[Estimate]:
     yield from (search.settle if settle else search.look)(search.problem.coordinates.start)
-    return search.result([])
+    point = search.point
+    assert point is not None
+    return dataclasses.replace(
+        fitted,
+        problem=search.problem,
+        x=point.x,
+        model=search.problem.coordinates.model(point.x),
+        windows=search.windows,
+        predicted=point.answer.predicted,
+        jacobian=np.zeros((*point.answer.predicted.shape, 0)),
+        offset=point.offset,
+    )
 
 
 def _inside(values: Mapping[str, float], within: Mapping[str, tuple[float, float]]) -> dict[str, float]:
