@@ -95,10 +95,14 @@ class ActuatorLag(Effect):
         return tuple(means), (*ends, *held, *rates)
 
 
+COGGING_N, SLACK_N = 10.0, 0.01
+
+
 class ActuatorRipple(Effect):
     """Ripple over each spool's angle φ, which goes with the bend and with the stretch c of the tendon, ±q_Σ + c T:
-    T + A Σₖ aₖ sin(k w φ) + bₖ cos(k w φ), k = 1, 2, each tendon with a phase of its own; A = T/(1 + T/T₀) is the
-    tension itself (ripple of the torque) below T₀ and stays there beyond it (cogging)."""
+    T + A Σₖ aₖ sin(k w φ) + bₖ cos(k w φ), k = 1, 2, each tendon with a phase of its own; A = T₀ (T/T₀)^p, T₀ = 10 N,
+    is the tension itself (ripple of the torque, p = 1) or the same for all tensions (cogging, p = 0). A tendon never
+    pushes."""
 
     id, block, axes = "actuator_ripple", "actuation", ("angle", "load")
     left_sine: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.05)
@@ -111,7 +115,7 @@ class ActuatorRipple(Effect):
     right_cosine2: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.03)
     waves: jax.Array = shape("1/rad", 15.0, 2.0, 200.0, (5.0, 8.0, 12.0, 18.0, 27.0, 40.0), "waves")
     stretch: jax.Array = shape("rad/N", 0.01, 1e-4, 0.3, (0.002, 0.015))
-    knee_n: jax.Array = shape("N", 10.0, 0.1, 1e3, (0.1, 5.0), "tension")
+    power: jax.Array = shape("1", 1.0, 0.0, 1.0, (1.0, 0.0))
 
     def actuate(self, memory, u, now):
         bend = sum(now.middle)
@@ -122,7 +126,9 @@ class ActuatorRipple(Effect):
             phase = self.waves * (angle + self.stretch * t)
             s, c = jnp.sin(phase), jnp.cos(phase)
             wave = a1 * s + b1 * c + 2 * a2 * s * c + b2 * (c * c - s * s)
-            out.append(t + wave * t / (1 + t / self.knee_n))
+            size = COGGING_N * jnp.exp(0.5 * self.power * jnp.log((t * t + SLACK_N**2) / COGGING_N**2))
+            more, held = size * wave, positive(t)
+            out.append(t + jnp.where(more >= -held, more, -held))
         return tuple(out), memory
 
 

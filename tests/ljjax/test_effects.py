@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -216,3 +218,19 @@ def test_a_lag_that_rings_goes_as_its_differential_equation():
         np.testing.assert_allclose([end, rate, mean * h], ode.y[:, -1], rtol=1e-6)
     mean, end, rate = ringing(*(jnp.asarray(v) for v in (1.0, 0.2, 3.0, 0.0, r, h)))
     assert (float(mean), float(end), float(rate)) == (1.0, 1.0, 0.0)
+
+
+def test_cogging_pulls_a_slack_tendon_but_never_pushes():
+    """What a motor's cogging adds is the same at all tensions, up to what a slack tendon has to give."""
+    ripple: Any = REGISTRY["actuator_ripple"]
+    cogs = ripple(left_cosine=0.1, right_cosine=0.1, waves=10.0, stretch=1e-4, power=0.0)
+    now: Any = SimpleNamespace(middle=(jnp.asarray(np.pi / 10),))  # half a wave from where it pulls most
+
+    def pulled(t: float, at: Any = now) -> float:
+        (left, _), _ = cogs.actuate((), (jnp.asarray(t), jnp.asarray(5.0)), at)
+        return float(left)
+
+    straight: Any = SimpleNamespace(middle=(jnp.asarray(0.0),))
+    for tension in (0.3, 3.0, 30.0):
+        assert pulled(tension, straight) == pytest.approx(tension + 1.0, abs=2e-3)
+        assert pulled(tension) == pytest.approx(max(tension - 1.0, 0.0), abs=2e-3)
