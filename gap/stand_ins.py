@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import lagged, positive, turned
+from ljjax.effects.shapes import lagged, positive, turned, wave
 from ljjax.gap.candidates import CAUTIOUS, cautious
 from ljjax.gap.search import Refit, Study
 
@@ -143,13 +143,9 @@ class InWaves(Effect):
     waves: jax.Array = shape("1/rad", 15.0, 2.0, 200.0, (5.0, 8.0, 12.0, 18.0, 27.0, 40.0), "waves")
 
     def load(self, memory, load, now):
-        out = []
-        for x, q in zip(load, now.middle, strict=True):
-            phase = self.waves * len(now.middle) * q
-            s, c = jnp.sin(phase), jnp.cos(phase)
-            wave = self.sine * s + self.cosine * c + 2 * self.sine2 * s * c + self.cosine2 * (c * c - s * s)
-            out.append(x - wave)
-        return tuple(out)
+        terms = self.sine, self.cosine, self.sine2, self.cosine2
+        bends = (self.waves * len(now.middle) * q for q in now.middle)
+        return tuple(x - wave(bend, *terms) for x, bend in zip(load, bends, strict=True))
 
 
 class AtFriction(Effect):

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import arm, bounded, lagged, play, positive, ringing, turned
+from ljjax.effects.shapes import arm, bounded, lagged, play, positive, ringing, turned, wave
 
 
 class ActuatorDelay(Effect):
@@ -122,12 +122,10 @@ class ActuatorRipple(Effect):
         left = self.left_sine, self.left_cosine, self.left_sine2, self.left_cosine2
         right = self.right_sine, self.right_cosine, self.right_sine2, self.right_cosine2
         out = []
-        for t, angle, (a1, b1, a2, b2) in zip(u, (bend, -bend), (left, right), strict=True):
-            phase = self.waves * (angle + self.stretch * t)
-            s, c = jnp.sin(phase), jnp.cos(phase)
-            wave = a1 * s + b1 * c + 2 * a2 * s * c + b2 * (c * c - s * s)
+        for t, angle, shares in zip(u, (bend, -bend), (left, right), strict=True):
+            share = wave(self.waves * (angle + self.stretch * t), *shares)
             size = COGGING_N * jnp.exp(0.5 * self.power * jnp.log((t * t + SLACK_N**2) / COGGING_N**2))
-            more, held = size * wave, positive(t)
+            more, held = size * share, positive(t)
             out.append(t + jnp.where(more >= -held, more, -held))
         return tuple(out), memory
 

@@ -67,6 +67,12 @@ def turned(way: Array, moved: Any, width: float | Array, rest: Array | None = No
     return goal + (way - goal) * jnp.exp(-whole / width)
 
 
+def wave(phase: Array, sine: Array, cosine: Array, sine2: Array, cosine2: Array) -> Array:
+    """The first two harmonics of a wave."""
+    s, c = jnp.sin(phase), jnp.cos(phase)
+    return sine * s + cosine * c + 2 * sine2 * s * c + cosine2 * (c * c - s * s)
+
+
 def arm(now: Now) -> Array:
     """The tendons' lever arm g(q) at the middle of the step [m]."""
     model = now.model
