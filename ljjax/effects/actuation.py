@@ -96,6 +96,7 @@ class ActuatorLag(Effect):
 
 
 COGGING_N, SLACK_N = 10.0, 0.01
+"""Tension at which a ripple is the same by any power of it, and one below which it no longer falls with it."""
 
 
 class ActuatorRipple(Effect):

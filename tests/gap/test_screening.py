@@ -124,6 +124,7 @@ def test_a_measured_tension_contradicts_what_it_does_not_show(real):
     assert tension.joined(0.05, [gain(0.02)]) == pytest.approx(0.05 if real else 0.35)
     assert tension.joined(0.05, [gain(0.02), gain(1e-6)]) == tension.joined(0.05, [gain(0.02)])  # beside a dummy too
     assert tension.joined(0.05, [gain(1e-4)]) == pytest.approx(0.05)  # too little to be seen either way
+    assert tension.joined(0.05, [gain(0.0)]) == pytest.approx(0.05)  # and nothing at all
     assert tension.joined(0.05, [gain(0.02, sd=0.05)]) == pytest.approx(0.05)  # the shape would have it otherwise too
 
 
