@@ -35,10 +35,10 @@ def answer(inquiry: Inquiry) -> Diagnosis:
     seen = study.predict([*refits, inquiry.given], setting.test)
     equivalent = _equivalent(inquiry)
     if equivalent and len(chosen.ids) == 1:
-        single, order = inquiry.found.single, list(effects.REGISTRY)
-        simplest = min(equivalent[0], key=lambda i: (single[i].used[i], single[i].trial.size, order.index(i)))
-        if simplest != chosen.ids[0] and single[simplest].total <= 1.02 * chosen.total:
-            chosen = single[simplest]
+        single = inquiry.found.single
+        likeliest = judge.main_of(inquiry.probability, equivalent[0])
+        if likeliest != chosen.ids[0] and single[likeliest].total <= 1.02 * chosen.total:
+            chosen = single[likeliest]
             seen[1] = study.predict([chosen], setting.test)[0]
     rivals, gap = _rivals(inquiry, chosen), _gap(inquiry, chosen, seen)
     return Diagnosis(

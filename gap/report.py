@@ -268,7 +268,7 @@ def _parameters(story: Story) -> str:
 def _apart(story: Story, result: Diagnosis) -> list[str]:
     out = [
         f"<p><strong>{escape(', '.join(plain(i) for i in group))}</strong>: with any of them these runs are explained "
-        "as well; the simplest was selected.</p>"
+        "as well; the most probable was selected.</p>"
         for group in result.equivalent
     ]
     if not out:

@@ -28,8 +28,9 @@ HEARD = 3
 ASTRAY, LOST = 0.98, 8
 """A candidate that leaves more than this share of the base's loss has found nothing, or not its way; how many of those
 are begun once more."""
-FURTHER, PAIRS = 0.12, 0.25
-"""Shares of the gap, left by one effect, from which a further one is looked for, and from which pairs of others are."""
+FURTHER, PAIRS, LEADING = 0.12, 0.25, 5
+"""Shares of the gap, left by one effect, from which a further one is looked for, and from which all pairs of so many
+leaders are."""
 
 
 @dataclass
@@ -186,12 +187,10 @@ class Selection:
             on_top = study.screen(found.best)
             steps = self._begun(on_top, self._ahead(on_top, SECOND), found.best)
             trials = [*steps, *self._heard(found.best)]
-            if len(found.best.ids) == 1 and share > PAIRS:
-                leaders = [i for i in left if i != found.best.ids[0]][:4]
-                for a, b in ((a, b) for k, a in enumerate(leaders) for b in leaders[k + 1 :]):
-                    joint = {**left[a].free_effects, **left[b].free_effects}
-                    trials.append(Trial((a, b), joint))
             more = study.refit(found.best.model, trials, on_top, steps, stage="several effects", finish=2, sure=1)
+            if len(found.best.ids) == 1 and share > PAIRS:
+                pairs = self._pairs(list(left.values())[:LEADING])
+                more += study.refit(study.start, pairs, None, stage="pairs", finish=2)
             for r in more:
                 key = tuple(sorted(r.ids))
                 if key not in found.joint or r.total < found.joint[key].total:
@@ -206,6 +205,18 @@ class Selection:
         if len(found.best.ids) > 1:
             self._exchange(found)
         return found
+
+    def _pairs(self, leaders: Sequence[Refit]) -> list[Trial]:
+        """All pairs of them, to be begun at the given model, as the bases refitted with one of two went astray: one as
+        it was found alone, the other cautiously beside it, as each alone did what both are to do; with the first of
+        them either way round."""
+        kinds, out = self.study.kinds, []
+        for k, a in enumerate(leaders):
+            for b in leaders[k + 1 :]:
+                for one, other in ((a, b), (b, a))[: 2 if k == 0 else 1]:
+                    less = cautious(Trial(other.ids, other.free_effects), kinds)
+                    out.append(Trial((*one.ids, *other.ids), {**one.free_effects, **less.start}))
+        return out
 
     def _exchange(self, found: Found) -> None:
         """Each of several effects exchanged for those that promise most in its place: what was found first need not be

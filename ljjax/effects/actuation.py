@@ -73,23 +73,26 @@ APART_N = 5.0
 class ActuatorLag(Effect):
     """The current or tension loop lags: τ Ṫ = T_cmd − T, and after it one of second order (loop, filter, springy
     tendon), of the time constants τ₂ (1 ± i r), which rings for r > 1. Where the loop's rate is limited τ goes with
-    (|T_cmd − T|/5 N)^p, to a rate of its own for p = 1. Exact for commands that hold over a step."""
+    (|T_cmd − T|/5 N)^p, to a rate of its own for p = 1. Each tendon has a motor of its own: τ and τ₂ are 1 ± d of
+    theirs. Exact for commands that hold over a step."""
 
     id, block, axes = "actuator_lag", "actuation", ("rate", "load", "time")
     tau_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.05)
     second_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.03)
     ring: jax.Array = shape("1", 0.0, 0.0, 10.0, (2.0, 0.0))
     power: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    difference: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
     def start(self, now):
         return *now.u, *now.u, *(0.0 * x for x in now.u)
 
     def actuate(self, memory, u, now):
         means, ends, held, rates = [], [], [], []
-        for x, first, second, rate in zip(u, memory[:2], memory[2:4], memory[4:], strict=True):
+        shares = 1 + self.difference, 1 - self.difference
+        for x, share, first, second, rate in zip(u, shares, memory[:2], memory[2:4], memory[4:], strict=True):
             apart = jnp.exp(0.5 * self.power * jnp.log(((x - first) / APART_N) ** 2 + 1e-4))
-            once, end = lagged(x, first, apart * self.tau_s, now.h)
-            mean, later, rate = ringing(once, second, rate, self.second_s, self.ring, now.h)
+            once, end = lagged(x, first, apart * share * self.tau_s, now.h)
+            mean, later, rate = ringing(once, second, rate, share * self.second_s, self.ring, now.h)
             for kept, value in zip((means, ends, held, rates), (mean, end, later, rate), strict=True):
                 kept.append(value)
         return tuple(means), (*ends, *held, *rates)
@@ -132,18 +135,20 @@ class ActuatorRipple(Effect):
 
 
 class TendonSlack(Effect):
-    """Backlash between spool and body: each tendon's tension passes a play of half-width w, and their difference one of
-    half-width w_d."""
+    """Backlash between spool and body: each tendon's tension passes a play of half-width w (1 ± d) of its own, and
+    their difference one of half-width w_d."""
 
     id, block, axes = "tendon_slack", "actuation", ("direction", "load", "rate")
     width_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.5)
     net_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.5)
+    difference: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
     def start(self, now):
         return tuple((x, 0.0 * x) for x in (*now.u, now.u[0] - now.u[1]))
 
     def actuate(self, memory, u, now):
-        (one, first), (two, second) = (play(x, self.width_n, m) for x, m in zip(u, memory[:2], strict=True))
+        widths = (1 + self.difference) * self.width_n, (1 - self.difference) * self.width_n
+        (one, first), (two, second) = (play(x, w, m) for x, w, m in zip(u, widths, memory[:2], strict=True))
         net, third = play(one - two, self.net_n, memory[2])
         half = 0.5 * (net - (one - two))
         return (one + half, two - half), (first, second, third)

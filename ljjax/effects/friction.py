@@ -5,9 +5,11 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from ljjax.effect import Effect, parameter
-from ljjax.effects.shapes import turned
+from ljjax.effect import Effect, parameter, shape
+from ljjax.effects.shapes import power, towards_base, turned
 
+LOAD_N = 10.0
+"""Load at which a friction is the same by any power of it."""
 TURN_RAD, BENT_RAD = 0.004, 0.015
 """Rotation within which a joint's direction turns round, and bend from which it counts as bent [rad]."""
 
@@ -38,15 +40,20 @@ class FrictionAsymmetry(Effect):
 
 
 class LoadDependentFriction(Effect):
-    """Tendon load presses the layers: φ + k (u₁ + u₂) + k_d |u₁ − u₂|."""
+    """Tendon load presses the layers: φ + (k N(u₁ + u₂) + k_d N(u₁ − u₂)) (1 + g x), N(u) = |u| (|u|/u₀)^(p − 1), u₀ =
+    10 N; x from 1 at the base, where the loads of all joints add up, to −1 at the tip."""
 
     id, block, axes = "load_dependent_friction", "friction", ("load", "direction", "angle")
     gain: jax.Array = parameter("N·m/N", 0.0, 0.0, 20.0, 0.1)
     of_net: jax.Array = parameter("N·m/N", 0.0, 0.0, 20.0, 0.1)
+    power: jax.Array = shape("1", 1.0, 0.2, 3.0, (0.5, 1.0))
+    to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
     def phi(self, memory, phi, now):
-        more = self.gain * (now.u[0] + now.u[1]) + self.of_net * jnp.abs(now.u[0] - now.u[1])
-        return tuple(p + more for p in phi)
+        left, right = now.u
+        presses = [jnp.abs(u) * power(u, LOAD_N, self.power - 1) for u in (left + right, left - right)]
+        more = self.gain * presses[0] + self.of_net * presses[1]
+        return tuple(p + more * s for p, s in zip(phi, towards_base(self.to_base, len(phi)), strict=True))
 
 
 class ThermalDrift(Effect):

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import lagged, positive
+from ljjax.effects.shapes import lagged, positive, towards_base
 
 APART_KPA = 10.0
 """The difference between line and sheath at which the sheath's time constants hold."""
@@ -104,7 +104,8 @@ WIDER = 4.0
 
 class LayerHysteresis(Effect):
     """Interlayer slip with a memory longer than the bristles': elements that stick over x₀ and over 4 x₀ before they
-    slide (Jenkins' elements, a sum of plays), each with a torque of its own, a + b P."""
+    slide (Jenkins' elements, a sum of plays), each with a torque of its own, (a + b P) (1 + g x), x from 1 at the base
+    to −1 at the tip."""
 
     id, block, axes = "layer_hysteresis", "jamming", ("direction", "angle", "pressure")
     torque_nm: jax.Array = parameter("N·m", 0.0, 0.0, 5.0, 0.01)
@@ -112,6 +113,7 @@ class LayerHysteresis(Effect):
     wider_nm: jax.Array = parameter("N·m", 0.0, 0.0, 5.0, 0.01)
     wider_per_kpa: jax.Array = parameter("N·m/kPa", 0.0, 0.0, 0.5, 0.001)
     width_rad: jax.Array = shape("rad", 0.03, 0.003, 1.0, (0.01, 0.03, 0.09))
+    to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
     def _stuck(self, memory, moved):
         """How far each element of each joint is strained, from −1 to 1, after the joints moved so far."""
@@ -126,7 +128,8 @@ class LayerHysteresis(Effect):
     def load(self, memory, load, now):
         near, wide = self._stuck(memory, [b - a for a, b in zip(now.q, now.middle, strict=True)])
         most = self.torque_nm + self.per_kpa * now.vacuum, self.wider_nm + self.wider_per_kpa * now.vacuum
-        return tuple(t - most[0] * a - most[1] * b for t, a, b in zip(load, near, wide, strict=True))
+        shares = towards_base(self.to_base, len(load))
+        return tuple(t - s * (most[0] * a + most[1] * b) for t, s, a, b in zip(load, shares, near, wide, strict=True))
 
     def remember(self, memory, now, after):
         return self._stuck(memory, [b - a for a, b in zip(now.q, after.q, strict=True)])

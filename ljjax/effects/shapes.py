@@ -19,6 +19,11 @@ def positive(x: Array) -> Array:
     return jnp.where(x > 0, x, 0.0 * x)
 
 
+def power(x: Array, one: float, exponent: Array) -> Array:
+    """(|x|/one)^exponent, smooth at 0."""
+    return jnp.exp(0.5 * exponent * jnp.log((x / one) ** 2 + 1e-6))
+
+
 def bounded(x: Array, limit: Array, edge: Array) -> Array:
     """x₊ (1 + (x/limit)^edge)^(−1/edge): x below the limit and the limit beyond it, the sharper the larger the edge."""
     some = x > 0
@@ -94,3 +99,9 @@ def _legendre(i: int, n: int) -> tuple[float, ...]:
 def along(modes: Sequence[Array], n: int) -> list[Array]:
     """What each of n joints gets of modes along the body (P₁ … P₅)."""
     return [sum((m * p for m, p in zip(modes, _legendre(i, n), strict=True)), 0.0 * modes[0]) for i in range(n)]
+
+
+def towards_base(share: Array, n: int) -> list[Array]:
+    """1 + g x for each of n joints, x along the body from 1 at the base to −1 at the tip."""
+    none = 0.0 * share
+    return [1 - s for s in along((share, none, none, none, none), n)]

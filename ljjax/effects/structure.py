@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ljjax.effect import Effect, Now, Vector, parameter, shape
-from ljjax.effects.shapes import along, lagged, positive
+from ljjax.effects.shapes import along, lagged, positive, power, towards_base
 
 GRAVITY = 9.80665
 
@@ -19,12 +19,14 @@ SLOWER = 8.0
 
 
 class ViscoelasticCreep(Effect):
-    """Backbone and sheath relax: a Maxwell branch k (q − x), τẋ = q − x, beside the elasticity, and one of 8 τ."""
+    """Backbone and sheath relax: a Maxwell branch k (q − x), τẋ = q − x, beside the elasticity, and one of 8 τ; both
+    times 1 + g x, x from 1 at the base to −1 at the tip."""
 
     id, block, axes = "viscoelastic_creep", "structure", ("time", "rate", "angle")
     stiffness: jax.Array = parameter("N·m/rad", 0.0, 0.0, 50.0, 0.3)
     slower: jax.Array = parameter("N·m/rad", 0.0, 0.0, 50.0, 0.3)
     tau_s: jax.Array = shape("s", 2.0, 0.02, 200.0, (0.25, 1.5, 8.0))
+    to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
     def _branches(self):
         return (self.stiffness, self.tau_s), (self.slower, SLOWER * self.tau_s)
@@ -33,9 +35,10 @@ class ViscoelasticCreep(Effect):
         return tuple(now.q), tuple(now.q)
 
     def load(self, memory, load, now):
+        shares = towards_base(self.to_base, len(load))
         for (stiffness, tau), held in zip(self._branches(), memory, strict=True):
             slow = stiffness / (1 + 0.5 * now.h / tau)
-            load = tuple(t - slow * (q - x) for t, q, x in zip(load, now.middle, held, strict=True))
+            load = tuple(t - slow * s * (q - x) for t, s, q, x in zip(load, shares, now.middle, held, strict=True))
         return load
 
     def remember(self, memory, now, after):
@@ -50,11 +53,6 @@ RATE_RAD_S, BEND_RAD = 0.3, 0.1
 """Rate and angle of a joint at which powers of them are 1; below a thousandth of these they are smooth."""
 
 
-def _power(x: Array, one: float, power: Array) -> Array:
-    """(|x|/one)^power, smooth at 0."""
-    return jnp.exp(0.5 * power * jnp.log((x / one) ** 2 + 1e-6))
-
-
 class ViscousDamping(Effect):
     """Damping independent of the vacuum: D q̇ (|q̇|/v₀)^(a − 1), v₀ = 0.3 rad/s; a = 1 is linear; more of it towards one
     end of the body by D₁, none where that would be less than none."""
@@ -67,19 +65,21 @@ class ViscousDamping(Effect):
     def torque(self, memory, i, q, v, stage):
         none, n = 0.0 * self.mode1, len(stage.alpha2)
         here = self.damping + along((self.mode1, none, none, none, none), n)[i]
-        return jnp.where(here < 0, none, here) * v * _power(v, RATE_RAD_S, self.power - 1)
+        return jnp.where(here < 0, none, here) * v * power(v, RATE_RAD_S, self.power - 1)
 
 
 class StiffnessHardening(Effect):
-    """Elasticity nonlinear in the angle: k₃ q³ (|q|/q₁)^(a − 3), q₁ = 0.1 rad; a = 3 is the cubic spring."""
+    """Elasticity nonlinear in the angle: k₃ (1 + g x) q³ (|q|/q₁)^(a − 3), q₁ = 0.1 rad, x from 1 at the base to −1 at
+    the tip; a = 3 is the cubic spring."""
 
     id, block, axes = "stiffness_hardening", "structure", ("angle",)
     cubic: jax.Array = parameter("N·m/rad³", 0.0, -500.0, 5000.0, 5.0)
     power: jax.Array = shape("1", 3.0, 1.3, 9.0, (2.0, 3.0, 5.0))
+    to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
     def load(self, memory, load, now):
-        more = [self.cubic * q * q * q * _power(q, BEND_RAD, self.power - 3) for q in now.middle]
-        return tuple(t - x for t, x in zip(load, more, strict=True))
+        more = [self.cubic * q * q * q * power(q, BEND_RAD, self.power - 3) for q in now.middle]
+        return tuple(t - s * x for t, s, x in zip(load, towards_base(self.to_base, len(load)), more, strict=True))
 
 
 class RestCurvature(Effect):

@@ -234,3 +234,24 @@ def test_cogging_pulls_a_slack_tendon_but_never_pushes():
     for tension in (0.3, 3.0, 30.0):
         assert pulled(tension, straight) == pytest.approx(tension + 1.0, abs=2e-3)
         assert pulled(tension) == pytest.approx(max(tension - 1.0, 0.0), abs=2e-3)
+
+
+def test_each_motor_may_lag_in_its_own_way():
+    kind: Any = REGISTRY["actuator_lag"]
+    lag = kind(tau_s=0.1, second_s=0.05, difference=1.0)
+    zero = jnp.zeros(())
+    now: Any = SimpleNamespace(h=jnp.asarray(0.01))
+    (left, right), _ = lag.actuate((zero,) * 6, (jnp.asarray(4.0), jnp.asarray(4.0)), now)
+    assert float(left) < 0.1 and float(right) == 4.0
+
+
+def test_load_presses_by_a_power_of_it_and_more_towards_the_base():
+    kind: Any = REGISTRY["load_dependent_friction"]
+    presses = kind(gain=0.2, power=0.5, to_base=0.5)
+    phi = tuple(jnp.full((3,), 2.0))
+    more = {}
+    for load in (10.0, 40.0):
+        now: Any = SimpleNamespace(u=(jnp.asarray(0.5 * load), jnp.asarray(0.5 * load)))
+        more[load] = np.array(presses.phi((), phi, now)) - 2.0
+    np.testing.assert_allclose(more[10.0], [3.0, 2.0, 1.0], rtol=1e-5)  # 0.2 N·m/N of 10 N, and half as much again
+    np.testing.assert_allclose(more[40.0], 2 * more[10.0], rtol=1e-5)
