@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from ljjax import energy
 from ljjax.effect import Effect, Now, Vector, parameter, shape
 from ljjax.effects.shapes import along, lagged, positive, power, towards_base
 
@@ -176,7 +177,8 @@ class GravityDistribution(Effect):
 
 
 class NonuniformStiffness(Effect):
-    """Segments differ: α₂,ᵢ = α₂ (1 + dᵢ), d by modes along the body (Legendre's P₁ … P₅; their mean is in α₂)."""
+    """Segments differ: α₂,ᵢ = α₂ + 2 dᵢ ((1 − s) α₂(0) + s (α₂ − α₂(0))), d by modes along the body (Legendre's P₁ …
+    P₅; their mean is in α₂): in the backbone (s = 0), the layers (s = 1), or both alike, α₂ (1 + dᵢ)."""
 
     id, block, axes, modes_of_theta = "nonuniform_stiffness", "structure", ("segment", "angle"), 2
     mode1: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
@@ -184,10 +186,13 @@ class NonuniformStiffness(Effect):
     mode3: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
     mode4: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
     mode5: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
+    of_layers: jax.Array = shape("1", 0.5, 0.0, 1.0, (0.5,))
 
     def alpha2(self, memory, alpha2, now):
         modes = (self.mode1, self.mode2, self.mode3, self.mode4, self.mode5)
-        return tuple(a * (1 + d) for a, d in zip(alpha2, along(modes, len(alpha2)), strict=True))
+        bare = energy.alpha2(now.model, 0.0 * now.vacuum)
+        parts = [2 * ((1 - self.of_layers) * bare + self.of_layers * (a - bare)) for a in alpha2]
+        return tuple(a + d * x for a, x, d in zip(alpha2, parts, along(modes, len(alpha2)), strict=True))
 
 
 class Contact(Effect):

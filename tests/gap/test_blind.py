@@ -120,7 +120,7 @@ def test_every_shape_of_every_cause_changes_what_the_camera_sees():
 def test_one_robot_from_the_draw_to_the_scoreboard(tmp_path, monkeypatch):
     """The first large effect of a seed that was chosen before anything ran, in shorter runs; the command in a process
     of its own."""
-    monkeypatch.setattr(cases, "SECONDS", 8.0)
+    monkeypatch.setattr(cases, "SECONDS", 5.0)
     (case,) = [c for c in cases.small_set(SEED) if c.kind == "effects"][:1]
     found = study.study([case], tmp_path, 1, timing=False)
     (row,) = found["cases"]

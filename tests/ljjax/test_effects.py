@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ljjax import effects, fast, modelfile
+from ljjax import effects, energy, fast, modelfile
 from ljjax.effects import BLOCKS, REGISTRY
 from ljjax.errors import InputError
 from ljjax.inputs import Inputs
@@ -255,3 +255,19 @@ def test_load_presses_by_a_power_of_it_and_more_towards_the_base():
         more[load] = np.array(presses.phi((), phi, now)) - 2.0
     np.testing.assert_allclose(more[10.0], [3.0, 2.0, 1.0], rtol=1e-5)  # 0.2 N·m/N of 10 N, and half as much again
     np.testing.assert_allclose(more[40.0], 2 * more[10.0], rtol=1e-5)
+
+
+def test_backbone_or_layers_may_differ_along_the_body(robot):
+    kind: Any = REGISTRY["nonuniform_stiffness"]
+    model, stiff = robot(3), {}
+    for layers in (0.0, 0.5, 1.0):
+        differ = kind(mode1=0.1, of_layers=layers)
+        for vacuum in (0.0, 20.0):
+            now: Any = SimpleNamespace(model=model, vacuum=jnp.asarray(vacuum))
+            mean = energy.alpha2(model, now.vacuum)
+            stiff[layers, vacuum] = np.array(differ.alpha2((), (mean,) * 3, now)) / float(mean) - 1
+    np.testing.assert_allclose(stiff[0.5, 20.0], [-0.1, 0.0, 0.1], atol=1e-12)
+    np.testing.assert_allclose(stiff[0.5, 0.0], stiff[0.0, 0.0] / 2)
+    np.testing.assert_allclose(stiff[1.0, 0.0], 0.0)
+    np.testing.assert_allclose(stiff[0.0, 20.0] + stiff[1.0, 20.0], 2 * stiff[0.5, 20.0], atol=1e-12)
+    assert min(np.ptp(stiff[0.0, 20.0]), np.ptp(stiff[1.0, 20.0])) > 0
