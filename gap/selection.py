@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ljjax.effect import Effect
 from ljjax.gap import judge, screening
 from ljjax.gap.candidates import Trial, bold, cautious
 from ljjax.gap.channels import Measured
@@ -50,6 +51,19 @@ class Found:
             if len(new) == len(gone) == 1:
                 out.append((*gone, *new, r))
         return out
+
+
+def pairs(leaders: Sequence[Refit], kinds: Sequence[type[Effect]]) -> list[Trial]:
+    """All pairs of them, to be begun at the given model, as the bases refitted with one of two went astray: one as it
+    was found alone, the other cautiously beside it, as each alone did what both are to do; with the first of them
+    either way round."""
+    out = []
+    for k, a in enumerate(leaders):
+        for b in leaders[k + 1 :]:
+            for one, other in ((a, b), (b, a))[: 2 if k == 0 else 1]:
+                less = cautious(Trial(other.ids, other.free_effects), kinds)
+                out.append(Trial((*one.ids, *other.ids), {**one.free_effects, **less.start}))
+    return out
 
 
 class Selection:
@@ -189,8 +203,8 @@ class Selection:
             trials = [*steps, *self._heard(found.best)]
             more = study.refit(found.best.model, trials, on_top, steps, stage="several effects", finish=2, sure=1)
             if len(found.best.ids) == 1 and share > PAIRS:
-                pairs = self._pairs(list(left.values())[:LEADING])
-                more += study.refit(study.start, pairs, None, stage="pairs", finish=2)
+                both = pairs(list(left.values())[:LEADING], study.kinds)
+                more += study.refit(study.start, both, None, stage="pairs", finish=2)
             for r in more:
                 key = tuple(sorted(r.ids))
                 if key not in found.joint or r.total < found.joint[key].total:
@@ -205,18 +219,6 @@ class Selection:
         if len(found.best.ids) > 1:
             self._exchange(found)
         return found
-
-    def _pairs(self, leaders: Sequence[Refit]) -> list[Trial]:
-        """All pairs of them, to be begun at the given model, as the bases refitted with one of two went astray: one as
-        it was found alone, the other cautiously beside it, as each alone did what both are to do; with the first of
-        them either way round."""
-        kinds, out = self.study.kinds, []
-        for k, a in enumerate(leaders):
-            for b in leaders[k + 1 :]:
-                for one, other in ((a, b), (b, a))[: 2 if k == 0 else 1]:
-                    less = cautious(Trial(other.ids, other.free_effects), kinds)
-                    out.append(Trial((*one.ids, *other.ids), {**one.free_effects, **less.start}))
-        return out
 
     def _exchange(self, found: Found) -> None:
         """Each of several effects exchanged for those that promise most in its place: what was found first need not be

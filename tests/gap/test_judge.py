@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from ljjax.effects import REGISTRY
 from ljjax.gap import judge
 from ljjax.gap.judge import Evidence
-from ljjax.gap.selection import Found
+from ljjax.gap.selection import Found, pairs
 
 
 def evidence(left: dict[str, float], *, excess: float = 5.0, chance: float = 1e-9, sizes: dict[str, int] | None = None):
@@ -83,3 +84,15 @@ def test_of_several_effects_each_exchange_is_known_by_what_went_and_what_came():
     found = Found({}, {tuple(sorted(ids)): refit(*ids) for ids in others}, best)
     said = {(out, new) for out, new, _ in found.exchanged}
     assert said == {("payload", "tilt"), ("filter", "tilt")}
+
+
+def test_of_two_effects_one_begins_as_it_was_alone_the_other_cautiously():
+    def alone(path: str, value: float) -> Any:
+        return SimpleNamespace(ids=(path.split(".")[1],), free_effects={path: value})
+
+    lag, gain, scale = "effects.actuator_lag.tau_s", "effects.actuator_gain.error", "effects.sensor_scale.error"
+    leaders = [alone(lag, 0.1), alone(gain, -0.2), alone(scale, 0.4)]
+    begun = [dict(trial.start) for trial in pairs(leaders, list(REGISTRY.values()))]
+    assert len(begun) == 5
+    for one, other, x, y in ((lag, gain, 0.1, -0.2), (gain, lag, -0.2, 0.1), (scale, lag, 0.4, 0.1)):
+        assert any(set(b) == {one, other} and b[one] == x and 0 < b[other] / y < 0.5 for b in begun)
