@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import arm, bounded, lagged, play, positive, ringing, turned, wave
+from ljjax.effects.shapes import arm, bounded, lagged, play, positive, power, ringing, turned, wave
 
 
 class ActuatorDelay(Effect):
@@ -134,24 +134,53 @@ class ActuatorRipple(Effect):
         return tuple(out), memory
 
 
+PAYS_OUT_S, EDGE, FEELS_S = 0.1, 0.2, 0.005
+"""In what time a slack tendon pays out all its slack; the share of the tension at which it begins to over which both
+rates change; the slack over which what the body feels of a slack tendon vanishes [s]."""
+
+
 class TendonSlack(Effect):
     """Backlash between spool and body: each tendon's tension passes a play of half-width w (1 ± d) of its own, and
-    their difference one of half-width w_d."""
+    their difference one of half-width w_d. And below the tension T_s a tendon goes slack, within tenths of a second by
+    what takes l (1 ± d) to wind up at 10 N, at other tensions √(T/10 N) as fast; until then the body feels nothing."""
 
     id, block, axes = "tendon_slack", "actuation", ("direction", "load", "rate")
     width_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.5)
     net_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.5)
+    slack_s: jax.Array = parameter("s", 0.0, 0.0, 2.0, 0.02)
+    slack_n: jax.Array = shape("N", 1.0, 0.05, 20.0, (1.0, 3.0))
     difference: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
+    def _shares(self):
+        return 1 + self.difference, 1 - self.difference
+
+    def _slack(self, tension: jax.Array) -> jax.Array:
+        """How slack a tendon is to be: 1 well below T_s, ½ at it, 0 well above."""
+        return jax.nn.sigmoid((self.slack_n - tension) / (EDGE * self.slack_n))
+
     def start(self, now):
-        return tuple((x, 0.0 * x) for x in (*now.u, now.u[0] - now.u[1]))
+        plays = tuple((x, 0.0 * x) for x in (*now.u, now.u[0] - now.u[1]))
+        return (*plays, *(s * self.slack_s * self._slack(x) for s, x in zip(self._shares(), now.u, strict=True)))
 
     def actuate(self, memory, u, now):
-        widths = (1 + self.difference) * self.width_n, (1 - self.difference) * self.width_n
-        (one, first), (two, second) = (play(x, w, m) for x, w, m in zip(u, widths, memory[:2], strict=True))
-        net, third = play(one - two, self.net_n, memory[2])
+        *plays, left, right = memory
+        taut, slack = [], []
+        for x, share, held in zip(u, self._shares(), (left, right), strict=True):
+            loose, winds = self._slack(x), x > self.slack_n
+            wound = now.h * (1 - loose) * power(x, COGGING_N, jnp.asarray(0.5))
+            most, paid = share * self.slack_s, now.h / PAYS_OUT_S * loose * share * self.slack_s
+            some, full = held > wound, held + paid >= most
+            taut.append(
+                jnp.where(winds, jnp.where(some, 0.0 * x, x * (1 - held / wound)), x * jnp.exp(-held / FEELS_S))
+            )
+            slack.append(
+                jnp.where(winds, jnp.where(some, held - wound, 0.0 * held), jnp.where(full, most, held + paid))
+            )
+        passed = zip(taut, self._shares(), plays[:2], strict=True)
+        (one, first), (two, second) = (play(x, s * self.width_n, m) for x, s, m in passed)
+        net, third = play(one - two, self.net_n, plays[2])
         half = 0.5 * (net - (one - two))
-        return (one + half, two - half), (first, second, third)
+        return (one + half, two - half), (first, second, third, *slack)
 
 
 class TendonFriction(Effect):

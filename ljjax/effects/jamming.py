@@ -105,13 +105,15 @@ WIDER = 4.0
 class LayerHysteresis(Effect):
     """Interlayer slip with a memory longer than the bristles': elements that stick over x₀ and over 4 x₀ before they
     slide (Jenkins' elements, a sum of plays), each with a torque of its own, (a + b P) (1 + g x), x from 1 at the base
-    to −1 at the tip."""
+    to −1 at the tip; the nearer one with a share of the elastic torque too, c α₂|q|, lost between loading and
+    unloading."""
 
     id, block, axes = "layer_hysteresis", "jamming", ("direction", "angle", "pressure")
     torque_nm: jax.Array = parameter("N·m", 0.0, 0.0, 5.0, 0.01)
     per_kpa: jax.Array = parameter("N·m/kPa", 0.0, 0.0, 0.5, 0.001)
     wider_nm: jax.Array = parameter("N·m", 0.0, 0.0, 5.0, 0.01)
     wider_per_kpa: jax.Array = parameter("N·m/kPa", 0.0, 0.0, 0.5, 0.001)
+    of_elastic: jax.Array = parameter("1", 0.0, 0.0, 0.9, 0.03)
     width_rad: jax.Array = shape("rad", 0.03, 0.003, 1.0, (0.01, 0.03, 0.09))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
@@ -128,8 +130,11 @@ class LayerHysteresis(Effect):
     def load(self, memory, load, now):
         near, wide = self._stuck(memory, [b - a for a, b in zip(now.q, now.middle, strict=True)])
         most = self.torque_nm + self.per_kpa * now.vacuum, self.wider_nm + self.wider_per_kpa * now.vacuum
-        shares = towards_base(self.to_base, len(load))
-        return tuple(t - s * (most[0] * a + most[1] * b) for t, s, a, b in zip(load, shares, near, wide, strict=True))
+        out = []
+        for i, share in enumerate(towards_base(self.to_base, len(load))):
+            lost = self.of_elastic * now.alpha2[i] * jnp.abs(now.middle[i])
+            out.append(load[i] - share * ((most[0] + lost) * near[i] + most[1] * wide[i]))
+        return tuple(out)
 
     def remember(self, memory, now, after):
         return self._stuck(memory, [b - a for a, b in zip(now.q, after.q, strict=True)])

@@ -271,3 +271,21 @@ def test_backbone_or_layers_may_differ_along_the_body(robot):
     np.testing.assert_allclose(stiff[1.0, 0.0], 0.0)
     np.testing.assert_allclose(stiff[0.0, 20.0] + stiff[1.0, 20.0], 2 * stiff[0.5, 20.0], atol=1e-12)
     assert min(np.ptp(stiff[0.0, 20.0]), np.ptp(stiff[1.0, 20.0])) > 0
+
+
+def test_a_slack_tendon_is_wound_up_before_the_body_feels_it():
+    """Paid out within a tenth of a second, wound up in 20 ms at 10 N and in half the time at four times as much."""
+    kind: Any = REGISTRY["tendon_slack"]
+    slack, h = kind(slack_s=0.02, slack_n=1.0), 0.001
+    for tension, dead in ((10.0, 0.020), (40.0, 0.010)):
+        now: Any = SimpleNamespace(u=(jnp.asarray(5.0), jnp.asarray(5.0)), h=jnp.asarray(h))
+        memory, felt = slack.start(now), []
+        for u in [5.0] * 5 + [0.1] * 200 + [tension] * 40:
+            (left, right), memory = slack.actuate(memory, (jnp.asarray(u), jnp.asarray(5.0)), now)
+            felt.append(float(left))
+            assert float(right) == pytest.approx(5.0)
+        np.testing.assert_allclose(felt[:5], 5.0)
+        assert max(felt[150:205]) < 0.01
+        lost = (tension - np.array(felt[205:])).sum() * h / tension
+        assert lost == pytest.approx(dead, rel=0.02)
+        assert felt[-1] == pytest.approx(tension)
