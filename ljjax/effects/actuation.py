@@ -134,9 +134,10 @@ class ActuatorRipple(Effect):
         return tuple(out), memory
 
 
-PAYS_OUT_S, EDGE, FEELS_S = 0.1, 0.2, 0.005
+PAYS_OUT_S, EDGE, FEELS_S, WOUND_N = 0.1, 0.2, 0.005, 10.0
 """In what time a slack tendon pays out all its slack; the share of the tension at which it begins to over which both
-rates change; the slack over which what the body feels of a slack tendon vanishes [s]."""
+rates change; the slack over which what the body feels of a slack tendon vanishes [s]; the tension that winds at the
+stated rate [N]."""
 
 
 class TendonSlack(Effect):
@@ -167,7 +168,7 @@ class TendonSlack(Effect):
         taut, slack = [], []
         for x, share, held in zip(u, self._shares(), (left, right), strict=True):
             loose, winds = self._slack(x), x > self.slack_n
-            wound = now.h * (1 - loose) * power(x, COGGING_N, jnp.asarray(0.5))
+            wound = now.h * (1 - loose) * power(x, WOUND_N, jnp.asarray(0.5))
             most, paid = share * self.slack_s, now.h / PAYS_OUT_S * loose * share * self.slack_s
             some, full = held > wound, held + paid >= most
             taut.append(
