@@ -229,8 +229,8 @@ def _left_over(inquiry: Inquiry) -> list[str]:
         k = int(np.nanargmin(closes))
         runs = [m.run.run_id for m, f in zip(inquiry.setting.train, inquiry.folds[1], strict=True) if f == k]
         out.append(
-            f"left out of the fit, {', '.join(runs)} would close by {100 * known.min():.0f} % alone (others "
-            f"{100 * np.median(known):.0f} %): {who} as fitted carries over badly to that condition"
+            f"left out of the fit, {', '.join(runs)} would close by {100 * known.min():z.0f} % alone (others "
+            f"{100 * np.median(known):z.0f} %): {who} as fitted carries over badly to that condition"
         )
     return out
 

@@ -173,7 +173,7 @@ class Measured:
         """What the channels that are heard say."""
         return [
             f"measured {c.name} differs from its command by {c.rms:.3g} RMS, {c.rms / c.noise:.1f} × its noise; "
-            f"{c.best} explains {100 * (1 - c.left[c.best]):.0f} % of it"
+            f"{c.best} explains {100 * (1 - c.left[c.best]):z.0f} % of it"
             for c in self.channels
             if c.name in self.heard
         ]

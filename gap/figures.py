@@ -186,7 +186,7 @@ def closing(shown: Sequence[Finding], result: Diagnosis, refitted: Mapping[str, 
     colour = [ACCENT if f.id in result.selected else PALE for f in shown]
     hollow = ["white" if f.id not in refitted else c for f, c in zip(shown, colour, strict=True)]
     bars = ax.barh(at, share, 0.66, color=hollow, edgecolor=colour, lw=1.2)
-    words = [f"{x:.0f} %" if f.id in refitted else f"≤ {x:.0f} %" for f, x in zip(shown, share, strict=True)]
+    words = [f"{x:z.0f} %" if f.id in refitted else f"≤ {x:z.0f} %" for f, x in zip(shown, share, strict=True)]
     ax.bar_label(bars, words, padding=3, fontsize=10, color=INK)
     ax.set_yticks(at, [plain(f.id) for f in shown])
     ax.invert_yaxis()

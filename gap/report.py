@@ -184,7 +184,7 @@ def _channels(story: Story) -> str:
     rows = []
     for c in story.measured.channels:
         unit = {"tension": "N", "pressure": "kPa"}.get(c.name, "")
-        best = f"{plain(c.best)} explains {100 * (1 - c.left[c.best]):.0f} %" if c.left else "agrees with its command"
+        best = f"{plain(c.best)} explains {100 * (1 - c.left[c.best]):z.0f} %" if c.left else "agrees with its command"
         rows.append([f"measured {c.name}", number(c.rms), number(c.noise), unit, best])
     if not rows:
         return ""
@@ -245,7 +245,7 @@ def _left_out(result: Diagnosis) -> str:
 
 
 def _whole_percent(share: float | None) -> str:
-    return "–" if share is None else f"{100 * share:.0f} %"
+    return "–" if share is None else f"{100 * share:z.0f} %"
 
 
 def _parameters(story: Story) -> str:

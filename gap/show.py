@@ -11,7 +11,8 @@ from rich.table import Table
 from ljjax.gap.result import LAST, Diagnosis
 from ljjax.page import number
 
-SHOWN = 6
+SHOWN, LEAST = 6, 0.005
+"""How many candidates are shown at most, and from which probability."""
 WORDS = {
     "listed_effect": "an effect the model lacks",
     "no_gap": "no gap: the given model explains these runs to their noise",
@@ -32,10 +33,10 @@ def show(found: Diagnosis, out: Path, console: Console | None = None) -> None:
     gap = found.gap
     factor, unit = (float(np.degrees(1.0)), "°") if gap.unit == "rad" else (1.0, f" {gap.unit}")
     numbers = [f"{number(factor * x)}{unit}" for x in (gap.before, gap.after, gap.noise_floor)]
-    closed = "" if gap.closed_fraction is None else f"; {100 * gap.closed_fraction:.0f} % of the gap closed"
+    closed = "" if gap.closed_fraction is None else f"; {100 * gap.closed_fraction:z.0f} % of the gap closed"
     if gap.closed_fraction is not None and gap.closed_fraction_ci95 is not None and found.selected:
         low, high = gap.closed_fraction_ci95
-        closed += f" (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
+        closed += f" (95 %: {100 * low:z.0f} to {100 * high:z.0f} %)"
     console.print(
         f"Error on runs not fitted: {numbers[0]} → {numbers[1]}, noise {numbers[2]}{closed}",
         highlight=False,
@@ -44,11 +45,11 @@ def show(found: Diagnosis, out: Path, console: Console | None = None) -> None:
     table = Table(box=None, padding=(0, 2, 0, 0))
     for name in ("candidate", "probability", "closes", "parameters"):
         table.add_column(name, justify="right" if name in ("probability", "closes") else "left")
-    for f in found.effects[:SHOWN]:
+    for f in [f for f in found.effects[:SHOWN] if f.probability >= LEAST]:
         values = ", ".join(
             f"{n} {number(p['value'])} ± {number(p['sd'], 2)} {p['unit']}" for n, p in f.parameters.items()
         )
-        closes = "" if f.closed_fraction is None or f.id in LAST else f"{100 * f.closed_fraction:.0f} %"
+        closes = "" if f.closed_fraction is None or f.id in LAST else f"{100 * f.closed_fraction:z.0f} %"
         table.add_row(f.id, f"{f.probability:.2f}", closes, values)
     console.print(table)
     for group in found.equivalent:

@@ -86,7 +86,7 @@ def _cards(story: Any, result: Diagnosis) -> list[tuple[str, str]]:
     if gap.closed_fraction is not None and gap.closed_fraction_ci95 is not None:
         low, high = (100 * x for x in gap.closed_fraction_ci95)
         closed = 100 * gap.closed_fraction
-        out.append((f"{closed:.0f} %", f"of the {gap.channel} gap closed (95 %: {low:.0f} to {high:.0f} %)"))
+        out.append((f"{closed:z.0f} %", f"of the {gap.channel} gap closed (95 %: {low:z.0f} to {high:z.0f} %)"))
     return out
 
 

@@ -100,7 +100,7 @@ def beware(found: Any, main: Channel, runs: Sequence[Run], said: Sequence[str], 
         out.append(
             f"{c.kind}: error at left-out pressures {c.base.rms():.3g} {c.unit} with the base model, "
             f"{c.model.rms():.3g} with {' and '.join(found.selected) or 'no effect'} (scatter {c.noise:.3g})"
-            + (f"; {100 * min(closed, 1.0):.0f} % closed at inner pressures" if closed is not None else "")
+            + (f"; {100 * min(closed, 1.0):z.0f} % closed at inner pressures" if closed is not None else "")
         )
     out += [f"unexplained: {line}" for line in unexplained(found)]
     inner = np.unique(main.points.levels[main.inner])

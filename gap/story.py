@@ -204,8 +204,8 @@ def cards(result: Diagnosis) -> list[tuple[str, str]]:
         out.append(("–", "share closed: the base is within a tenth of the noise, nothing to close"))
     elif result.selected:
         ci = gap.closed_fraction_ci95
-        sure = f" (95 %: {100 * ci[0]:.0f} to {100 * ci[1]:.0f} %)" if ci else ""
-        out.append((f"{100 * gap.closed_fraction:.0f} %", f"of the gap closed on unseen runs{sure}"))
+        sure = f" (95 %: {100 * ci[0]:z.0f} to {100 * ci[1]:z.0f} %)" if ci else ""
+        out.append((f"{100 * gap.closed_fraction:z.0f} %", f"of the gap closed on unseen runs{sure}"))
     return out
 
 

@@ -50,20 +50,35 @@ class ActuatorGain(Effect):
         return tuple(g * t for g, t in zip(gains, u, strict=True)), memory
 
 
+LEAST = 0.05
+"""The share of a limit that is left of it, however much a motor has carried."""
+
+
 class ActuatorSaturation(Effect):
     """A share s ± δ of each tension stays below a limit L, its edge sharp or smooth, each tendon with a motor of its
-    own: T − s T (1 − (1 + (T/L)^p)^(−1/p))."""
+    own: T − s T (1 − (1 + (T/L)^p)^(−1/p)). The limit folds back with what the motor has carried of late: L (1 − f c),
+    τ ċ = T/L − c."""
 
     id, block, axes = "actuator_saturation", "actuation", ("load", "angle")
     share: jax.Array = parameter("1", 0.0, 0.0, 1.0, 0.5)
     difference: jax.Array = parameter("1", 0.0, -0.5, 0.5, 0.2)
     limit_n: jax.Array = shape("N", 10.0, 0.05, 1e3, (0.45, 0.65, 0.85), "tension")
     edge: jax.Array = shape("1", 8.0, 1.0, 16.0, (2.0, 8.0))
+    fold: jax.Array = shape("1", 0.0, 0.0, 2.0, (1.0, 0.0))
+    fold_s: jax.Array = shape("s", 1.0, 0.05, 60.0, (1.0,))
+
+    def start(self, now):
+        return tuple(0.0 * t for t in now.u)
 
     def actuate(self, memory, u, now):
         shares = self.share + self.difference, self.share - self.difference
-        over = [t - bounded(t, self.limit_n, self.edge) for t in u]
-        return tuple(t - s * x for s, t, x in zip(shares, u, over, strict=True)), memory
+        out, carried = [], []
+        for s, t, c in zip(shares, u, memory, strict=True):
+            part = 1 - self.fold * c
+            limit = self.limit_n * jnp.where(part > LEAST, part, LEAST + 0.0 * part)
+            out.append(t - s * (t - bounded(t, limit, self.edge)))
+            carried.append(lagged(out[-1] / self.limit_n, c, self.fold_s, now.h)[1])
+        return tuple(out), tuple(carried)
 
 
 APART_N = 5.0

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import lagged, positive, towards_base
+from ljjax.effects.shapes import lagged, positive, saturated, towards_base, turned
 
 APART_KPA = 10.0
 """The difference between line and sheath at which the sheath's time constants hold."""
@@ -14,21 +14,25 @@ APART_KPA = 10.0
 
 class PressureLag(Effect):
     """Line and sheath fill slowly: τ Ṗ = P_line − P, with times of their own for more and for less vacuum, which go
-    with the difference Δ = |P_line − P| as (Δ/10 kPa)^p: p = 0 is a laminar line, p = ½ an orifice."""
+    with the difference Δ = |P_line − P| as (Δ/10 kPa)^p: p = 0 is a laminar line, p = ½ an orifice; and behind it a
+    second volume, of r τ."""
 
     id, block, axes = "pressure_lag", "jamming", ("pressure", "time", "rate")
     fill_s: jax.Array = parameter("s", 0.0, 0.0, 10.0, 0.2)
     vent_s: jax.Array = parameter("s", 0.0, 0.0, 10.0, 0.2)
     power: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.5, 0.0))
+    second: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
 
     def start(self, now):
-        return (now.vacuum,)
+        return now.vacuum, now.vacuum
 
     def evacuate(self, memory, vacuum, now):
-        (held,) = memory
+        held, behind = memory
         apart = jnp.exp(0.5 * self.power * jnp.log(((vacuum - held) / APART_KPA) ** 2 + 1e-4))
         mean, end = lagged(vacuum, held, apart * jnp.where(vacuum > held, self.fill_s, self.vent_s), now.h)
-        return mean, (end,)
+        later = self.second * jnp.where(mean > behind, self.fill_s, self.vent_s)
+        mean, behind = lagged(mean, behind, later, now.h)
+        return mean, (end, behind)
 
 
 VENT_S, VENTED_KPA = 0.3, 0.5
@@ -75,26 +79,30 @@ class PressureBias(Effect):
 
 
 class StiffnessSaturation(Effect):
-    """α₂ saturates with the vacuum: α₂ + a P/(P + p₀) on top of the polynomial, whose own slope is fitted too."""
+    """α₂ saturates with the vacuum: α₂ + a Pⁿ/(Pⁿ + p₀ⁿ) on top of the polynomial, whose own slope is fitted too; n > 1
+    where the layers must first be drawn together."""
 
     id, block, axes = "stiffness_saturation", "jamming", ("pressure", "angle")
     rise: jax.Array = parameter("N·m/rad", 0.0, -20.0, 20.0, 0.5)
     knee_kpa: jax.Array = shape("kPa", 5.0, 0.3, 60.0, (2.0, 6.0, 18.0))
+    order: jax.Array = shape("1", 1.0, 0.5, 8.0, (3.0, 1.0))
 
     def alpha2(self, memory, alpha2, now):
-        more = self.rise * positive(now.vacuum) / (positive(now.vacuum) + self.knee_kpa)
+        more = self.rise * saturated(now.vacuum, self.knee_kpa, self.order)
         return tuple(a + more for a in alpha2)
 
 
 class FrictionSaturation(Effect):
-    """φ saturates with the vacuum: φ + a P/(P + p₀) on top of the square root, whose own slope is fitted too."""
+    """φ saturates with the vacuum: φ + a Pⁿ/(Pⁿ + p₀ⁿ) on top of the square root, whose own slope is fitted too; n > 1
+    where the layers must first be drawn together."""
 
     id, block, axes = "friction_saturation", "jamming", ("pressure", "direction")
     rise: jax.Array = parameter("N·m", 0.0, -100.0, 200.0, 3.0)
     knee_kpa: jax.Array = shape("kPa", 8.0, 0.3, 60.0, (2.0, 6.0, 18.0))
+    order: jax.Array = shape("1", 1.0, 0.5, 8.0, (3.0, 1.0))
 
     def phi(self, memory, phi, now):
-        more = self.rise * positive(now.vacuum) / (positive(now.vacuum) + self.knee_kpa)
+        more = self.rise * saturated(now.vacuum, self.knee_kpa, self.order)
         return tuple(p + more for p in phi)
 
 
@@ -105,15 +113,14 @@ WIDER = 4.0
 class LayerHysteresis(Effect):
     """Interlayer slip with a memory longer than the bristles': elements that stick over x₀ and over 4 x₀ before they
     slide (Jenkins' elements, a sum of plays), each with a torque of its own, (a + b P) (1 + g x), x from 1 at the base
-    to −1 at the tip; the nearer one with a share of the elastic torque too, c α₂|q|, lost between loading and
-    unloading."""
+    to −1 at the tip; and friction that grows with the bend, h φ |q| (1 + g x), turning round within x₀ (Dahl's)."""
 
     id, block, axes = "layer_hysteresis", "jamming", ("direction", "angle", "pressure")
     torque_nm: jax.Array = parameter("N·m", 0.0, 0.0, 5.0, 0.01)
     per_kpa: jax.Array = parameter("N·m/kPa", 0.0, 0.0, 0.5, 0.001)
     wider_nm: jax.Array = parameter("N·m", 0.0, 0.0, 5.0, 0.01)
     wider_per_kpa: jax.Array = parameter("N·m/kPa", 0.0, 0.0, 0.5, 0.001)
-    of_elastic: jax.Array = parameter("1", 0.0, 0.0, 0.9, 0.03)
+    with_bend: jax.Array = parameter("1/rad", 0.0, 0.0, 1.0, 0.005)
     width_rad: jax.Array = shape("rad", 0.03, 0.003, 1.0, (0.01, 0.03, 0.09))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
@@ -125,19 +132,21 @@ class LayerHysteresis(Effect):
         )
 
     def start(self, now):
-        return (tuple(0.0 * q for q in now.q),) * 2
+        return (tuple(0.0 * q for q in now.q),) * 3
 
     def load(self, memory, load, now):
-        near, wide = self._stuck(memory, [b - a for a, b in zip(now.q, now.middle, strict=True)])
+        near, wide = self._stuck(memory[:2], [b - a for a, b in zip(now.q, now.middle, strict=True)])
         most = self.torque_nm + self.per_kpa * now.vacuum, self.wider_nm + self.wider_per_kpa * now.vacuum
         out = []
         for i, share in enumerate(towards_base(self.to_base, len(load))):
-            lost = self.of_elastic * now.alpha2[i] * jnp.abs(now.middle[i])
-            out.append(load[i] - share * ((most[0] + lost) * near[i] + most[1] * wide[i]))
+            rubs = self.with_bend * now.phi[i] * jnp.abs(now.middle[i]) * memory[2][i]
+            out.append(load[i] - share * (most[0] * near[i] + most[1] * wide[i] + rubs))
         return tuple(out)
 
     def remember(self, memory, now, after):
-        return self._stuck(memory, [b - a for a, b in zip(now.q, after.q, strict=True)])
+        moved = [b - a for a, b in zip(now.q, after.q, strict=True)]
+        ways = tuple(turned(way, x, self.width_rad) for way, x in zip(memory[2], moved, strict=True))
+        return *self._stuck(memory[:2], moved), ways
 
 
 class LayerWear(Effect):

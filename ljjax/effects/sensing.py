@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import along, lagged
+from ljjax.effects.shapes import along, lagged, ringing
 
 BEND_RAD = 0.15
 """Bend of a joint at which what a view from aside and a lens distort is what their parameters say."""
@@ -63,25 +63,29 @@ class SensorBias(Effect):
 
 
 class SensorFilter(Effect):
-    """Detections are averaged: τẏ = x − y and after it two lags of r τ, exact for angles that move steadily in a step.
-    r = 0 is a first-order filter; r = 1 is a moving average over 6τ, but for terms of third order."""
+    """Detections are averaged: τẏ = x − y and after it a filter of second order, of the time constants r τ (1 ± i o),
+    exact for angles that move steadily in a step. r = 0 is a first-order filter; r = 1 without o a moving average over
+    6τ, but for terms of third order; with o > 0 it overshoots, as Butterworth's filters do."""
 
     id, block, axes = "sensor_filter", "sensing", ("rate", "time")
     tau_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.03)
-    later: jax.Array = shape("1", 0.5, 0.0, 1.0, (0.0, 1.0))
+    later: jax.Array = shape("1", 0.5, 0.0, 4.0, (0.0, 1.0))
+    overshoot: jax.Array = shape("1", 0.0, 0.0, 3.0, (1.0, 0.0))
 
     def start(self, now):
-        return (tuple(now.q),) * 4
+        return *(tuple(now.q),) * 3, tuple(0.0 * q for q in now.q)
 
     def sense(self, memory, y, now):
-        kept, more = [tuple(y)], self.later * self.tau_s
-        for tau, given, held in zip((self.tau_s, more, more), memory[:-1], memory[1:], strict=True):
-            new = []
-            for x, before, y0 in zip(kept[-1], given, held, strict=True):
-                late = tau * (x - before) / now.h
-                new.append(lagged(x - late, y0 + (x - before), tau, now.h)[1])
-            kept.append(tuple(new))
-        return kept[-1], tuple(kept)
+        later, out = self.later * self.tau_s, []
+        for x, before, first, second, rate in zip(y, *memory, strict=True):
+            speed = (x - before) / now.h
+            once = lagged(x - self.tau_s * speed, first + (x - before), self.tau_s, now.h)[1]
+            speed = (once - first) / now.h  # what follows it steadily is late by 2 r τ, the rest decays
+            held = second + (once - first)
+            _, twice, rest = ringing(once - 2 * later * speed, held, rate - speed, later, self.overshoot, now.h)
+            out.append((x, once, twice, rest + speed))
+        memory = tuple(zip(*out, strict=True))
+        return memory[2], memory
 
 
 class SensorDelay(Effect):

@@ -8,6 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from ljjax import energy
 from ljjax.effect import Now
 
 Vector = tuple[Array, ...]
@@ -22,6 +23,13 @@ def positive(x: Array) -> Array:
 def power(x: Array, one: float, exponent: Array) -> Array:
     """(|x|/one)^exponent, smooth at 0."""
     return jnp.exp(0.5 * exponent * jnp.log((x / one) ** 2 + 1e-6))
+
+
+def saturated(x: Array, knee: Array, order: Array) -> Array:
+    """xⁿ/(xⁿ + kneeⁿ) for x > 0, 0 below."""
+    some = x > 0
+    over = jnp.log(jnp.where(some, x, 1.0 + 0.0 * x) / knee)
+    return jnp.where(some, 1 / (1 + jnp.exp(-order * over)), 0.0 * x)
 
 
 def bounded(x: Array, limit: Array, edge: Array) -> Array:
@@ -99,6 +107,12 @@ def _legendre(i: int, n: int) -> tuple[float, ...]:
 def along(modes: Sequence[Array], n: int) -> list[Array]:
     """What each of n joints gets of modes along the body (P₁ … P₅)."""
     return [sum((m * p for m, p in zip(modes, _legendre(i, n), strict=True)), 0.0 * modes[0]) for i in range(n)]
+
+
+def of_layers(share: Array, now: Now) -> list[Array]:
+    """1 − s + s α₂/α₂(0) for each joint: what goes with the backbone (s = 0), with all that is elastic (s = 1)."""
+    bare = energy.alpha2(now.model, 0.0 * now.vacuum)
+    return [1 + share * (a / bare - 1) for a in now.alpha2]
 
 
 def towards_base(share: Array, n: int) -> list[Array]:

@@ -10,42 +10,50 @@ from jaxtyping import Array
 
 from ljjax import energy
 from ljjax.effect import Effect, Now, Vector, parameter, shape
-from ljjax.effects.shapes import along, lagged, positive, power, towards_base
+from ljjax.effects.shapes import along, lagged, of_layers, positive, power, towards_base
 
 GRAVITY = 9.80665
 
 
-SLOWER = 8.0
-"""How much slower the second branch of the creep is."""
+SLOWER, BRANCH_RAD = 8.0, 0.03
+"""How much slower the second branch of the creep is, and the stretch of a branch at which τ holds."""
 
 
 class ViscoelasticCreep(Effect):
-    """Backbone and sheath relax: a Maxwell branch k (q − x), τẋ = q − x, beside the elasticity, and one of 8 τ; both
-    times 1 + g x, x from 1 at the base to −1 at the tip."""
+    """Backbone and sheath relax: a Maxwell branch k (q − x), τẋ = (q − x) (|q − x|/x₀)^(n − 1), x₀ = 0.03 rad, beside
+    the elasticity, and one of 8 τ; n > 1 creeps by a power of its stress (Norton's law). Both are times 1 + g x, x from
+    1 at the base to −1 at the tip, and times 1 − s + s α₂/α₂(0): s = 0 where the backbone relaxes, 1 where all that is
+    elastic does."""
 
     id, block, axes = "viscoelastic_creep", "structure", ("time", "rate", "angle")
     stiffness: jax.Array = parameter("N·m/rad", 0.0, 0.0, 50.0, 0.3)
     slower: jax.Array = parameter("N·m/rad", 0.0, 0.0, 50.0, 0.3)
     tau_s: jax.Array = shape("s", 2.0, 0.02, 200.0, (0.25, 1.5, 8.0))
+    order: jax.Array = shape("1", 1.0, 0.5, 5.0, (3.0, 1.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
+    of_layers: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
 
     def _branches(self):
         return (self.stiffness, self.tau_s), (self.slower, SLOWER * self.tau_s)
+
+    def _time(self, tau, stretch):
+        return tau * power(stretch, BRANCH_RAD, 1 - self.order)
 
     def start(self, now):
         return tuple(now.q), tuple(now.q)
 
     def load(self, memory, load, now):
-        shares = towards_base(self.to_base, len(load))
+        along_body = zip(towards_base(self.to_base, len(load)), of_layers(self.of_layers, now), strict=True)
+        shares, out = [a * b for a, b in along_body], list(load)
         for (stiffness, tau), held in zip(self._branches(), memory, strict=True):
-            slow = stiffness / (1 + 0.5 * now.h / tau)
-            load = tuple(t - slow * s * (q - x) for t, s, q, x in zip(load, shares, now.middle, held, strict=True))
-        return load
+            for i, (s, q, x) in enumerate(zip(shares, now.middle, held, strict=True)):
+                out[i] = out[i] - s * stiffness * (q - x) / (1 + 0.5 * now.h / self._time(tau, q - x))
+        return tuple(out)
 
     def remember(self, memory, now, after):
         middles = [0.5 * (a + b) for a, b in zip(now.q, after.q, strict=True)]
         return tuple(
-            tuple(lagged(q, x, tau, now.h)[1] for q, x in zip(middles, held, strict=True))
+            tuple(lagged(q, x, self._time(tau, q - x), now.h)[1] for q, x in zip(middles, held, strict=True))
             for (_, tau), held in zip(self._branches(), memory, strict=True)
         )
 
@@ -71,20 +79,24 @@ class ViscousDamping(Effect):
 
 class StiffnessHardening(Effect):
     """Elasticity nonlinear in the angle: k₃ (1 + g x) q³ (|q|/q₁)^(a − 3), q₁ = 0.1 rad, x from 1 at the base to −1 at
-    the tip; a = 3 is the cubic spring."""
+    the tip; a = 3 is the cubic spring. Times 1 − s + s α₂/α₂(0): s = 0 where the backbone hardens, 1 where all that is
+    elastic does."""
 
     id, block, axes = "stiffness_hardening", "structure", ("angle",)
     cubic: jax.Array = parameter("N·m/rad³", 0.0, -500.0, 5000.0, 5.0)
     power: jax.Array = shape("1", 3.0, 1.3, 9.0, (2.0, 3.0, 5.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
+    of_layers: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
 
     def load(self, memory, load, now):
         more = [self.cubic * q * q * q * power(q, BEND_RAD, self.power - 3) for q in now.middle]
+        more = [x * s for x, s in zip(more, of_layers(self.of_layers, now), strict=True)]
         return tuple(t - s * x for t, s, x in zip(load, towards_base(self.to_base, len(load)), more, strict=True))
 
 
 class RestCurvature(Effect):
-    """The unloaded shape is bent: α₂ (q − q₀), q₀ by modes along the body where each joint is logged."""
+    """The unloaded shape is bent: α₂ (q − q₀), q₀ by modes along the body where each joint is logged; α₂ of all that
+    is elastic (s = 1) or, where the layers were laid straight, of the backbone alone (s = 0)."""
 
     id, block, axes = "rest_curvature", "structure", ("everywhere", "angle", "pressure")
     angle_rad: jax.Array = parameter("rad", 0.0, -1.0, 1.0, 0.02)
@@ -93,11 +105,14 @@ class RestCurvature(Effect):
     mode3: jax.Array = parameter("rad", 0.0, -1.0, 1.0, 0.02)
     mode4: jax.Array = parameter("rad", 0.0, -1.0, 1.0, 0.02)
     mode5: jax.Array = parameter("rad", 0.0, -1.0, 1.0, 0.02)
+    of_layers: jax.Array = shape("1", 1.0, 0.0, 1.0, (1.0,))
 
     def load(self, memory, load, now):
         modes = (self.mode1, self.mode2, self.mode3, self.mode4, self.mode5)
+        bare = energy.alpha2(now.model, 0.0 * now.vacuum)
+        stiff = [bare + self.of_layers * (a - bare) for a in now.alpha2]
         bent = along(modes, len(load))
-        return tuple(t + a * (self.angle_rad + x) for t, a, x in zip(load, now.alpha2, bent, strict=True))
+        return tuple(t + a * (self.angle_rad + x) for t, a, x in zip(load, stiff, bent, strict=True))
 
 
 def _moments(now: Now, weights: Sequence[Array], part: Vector) -> list[Array]:
@@ -201,7 +216,7 @@ class Contact(Effect):
 
     id, block, axes = "contact", "structure", ("angle",)
     stop: jax.Array = parameter("N·m/rad", 0.0, 0.0, 500.0, 3.0)
-    obstacle: jax.Array = parameter("N/m", 0.0, 0.0, 300.0, 10.0)
+    obstacle: jax.Array = parameter("N/m", 0.0, 0.0, 3000.0, 10.0)
     angle_rad: jax.Array = shape("rad", 0.1, -2.0, 2.0, (0.35, -0.35, 0.7, -0.7), "angle")
 
     def torque(self, memory, i, q, v, stage):

@@ -138,6 +138,64 @@ def test_a_filter_averages(robot):
     assert average < 0.2 * first < 0.1 * none, (average, first, none)
 
 
+def test_a_filter_goes_as_its_transfer_function():
+    """1/((τs + 1)(r²τ²(1 + o²)s² + 2rτs + 1)), but for what the first filter does within a step."""
+    from scipy.signal import lsim
+
+    tau, later, over, h = 0.01, 2.0, 1.2, 0.005
+    kind: Any = REGISTRY["sensor_filter"]
+    sensor = kind(tau_s=tau, later=later, overshoot=over)
+    t = h * np.arange(200)
+    q = 0.3 * np.sin(9.0 * t) + np.where(t > 0.5, 0.1, 0.0)
+    now: Any = SimpleNamespace(q=(jnp.asarray(q[0]),), h=jnp.asarray(h))
+    memory, got = sensor.start(now), [q[0]]
+    for x in q[1:]:
+        (y,), memory = sensor.sense(memory, (jnp.asarray(x),), now)
+        got.append(float(y))
+    second = later * tau
+    below = np.polymul([tau, 1.0], [second**2 * (1 + over**2), 2 * second, 1.0])
+    _, expected, _ = lsim(([1.0], below), q, t)
+    np.testing.assert_allclose(got, expected, atol=5e-4)
+
+
+def test_a_sheath_fills_behind_its_line():
+    kind: Any = REGISTRY["pressure_lag"]
+    lag, h = kind(fill_s=0.2, vent_s=0.1, power=0.0, second=0.5), 0.001
+    now: Any = SimpleNamespace(vacuum=jnp.zeros(()), h=jnp.asarray(h))
+    memory, got = lag.start(now), []
+    for line in [20.0] * 2000 + [0.0] * 400:
+        vacuum, memory = lag.evacuate(memory, jnp.asarray(line), now)
+        got.append(float(vacuum))
+    t = h * (np.arange(400) + 0.5)
+    for begin, left in ((0, 2 * np.exp(-t / 0.2) - np.exp(-t / 0.1)), (2000, 2 * np.exp(-t / 0.1) - np.exp(-t / 0.05))):
+        apart = np.abs(np.array(got[begin : begin + 400]) - (20.0 if begin == 0 else 0.0))
+        np.testing.assert_allclose(apart, 20.0 * left, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [("viscoelastic_creep", {"stiffness": 1.0}), ("stiffness_hardening", {"cubic": 50.0}),
+     ("rest_curvature", {"angle_rad": 0.1})],
+)  # fmt: skip
+def test_backbone_or_all_that_is_elastic(robot, effect, values):
+    """The torque goes with α₂ of the sheath, or stays as it is in one without a vacuum."""
+    kind: Any = REGISTRY[effect]
+    model, one = robot(2), jnp.asarray(0.1)
+    zero = jnp.zeros((2,))
+    held = (tuple(zero),) * 2 if effect == "viscoelastic_creep" else ()
+
+    def torque(layers: float, vacuum: float) -> float:
+        alpha2 = (energy.alpha2(model, jnp.asarray(vacuum)),) * 2
+        now: Any = SimpleNamespace(
+            model=model, vacuum=jnp.asarray(vacuum), alpha2=alpha2, middle=(one, one), h=jnp.asarray(0.001)
+        )
+        return float(kind(**values, of_layers=layers).load(held, tuple(zero), now)[0])
+
+    bare, stiff = (float(energy.alpha2(model, jnp.asarray(p))) for p in (0.0, 20.0))
+    assert torque(0.0, 20.0) == pytest.approx(torque(1.0, 0.0)) != 0.0
+    assert torque(1.0, 20.0) == pytest.approx(torque(0.0, 0.0) * stiff / bare)
+
+
 def test_a_model_file_holds_effects(tmp_path, robot):
     lag, bias = REGISTRY["actuator_lag"](**{"tau_s": 0.07}), REGISTRY["sensor_bias"](**{"offset_rad": 0.02})
     model = dataclasses.replace(robot(3), effects=(lag, bias))
@@ -289,3 +347,63 @@ def test_a_slack_tendon_is_wound_up_before_the_body_feels_it():
         lost = (tension - np.array(felt[205:])).sum() * h / tension
         assert lost == pytest.approx(dead, rel=0.02)
         assert felt[-1] == pytest.approx(tension)
+
+
+@pytest.mark.parametrize(("effect", "hook"), [("stiffness_saturation", "alpha2"), ("friction_saturation", "phi")])
+def test_saturation_may_want_a_vacuum_first(effect, hook):
+    """aPⁿ/(Pⁿ + p₀ⁿ): half at the knee; of third order an eighth of the first order's slope below it, none at 0."""
+    kind: Any = REGISTRY[effect]
+
+    def more(order: float, vacuum: float) -> float:
+        now: Any = SimpleNamespace(vacuum=jnp.asarray(vacuum))
+        law = kind(rise=2.0, knee_kpa=8.0, order=order)
+        return float(getattr(law, hook)((), (jnp.asarray(1.0),), now)[0]) - 1
+
+    for order in (1.0, 3.0):
+        assert [more(order, p) for p in (0.0, 8.0, 8e6)] == pytest.approx([0.0, 1.0, 2.0], abs=1e-4)
+    assert more(1.0, 4.0) == pytest.approx(2 / 3) and more(3.0, 4.0) == pytest.approx(2 / 9)
+
+
+def test_a_motors_limit_folds_back_while_it_carries():
+    """A sharp limit of 40 N that falls by what is carried: half of it is left in the end, all of it after a rest."""
+    kind: Any = REGISTRY["actuator_saturation"]
+    motor, h = kind(share=1.0, limit_n=40.0, edge=16.0, fold=1.0, fold_s=0.5), 0.01
+    now: Any = SimpleNamespace(u=(jnp.zeros(()),) * 2, h=jnp.asarray(h))
+    memory, felt = motor.start(now), []
+    for u in [30.0] * 500 + [0.0] * 500 + [30.0]:
+        (left, right), memory = motor.actuate(memory, (jnp.asarray(u), jnp.asarray(5.0)), now)
+        felt.append(float(left))
+        assert float(right) == pytest.approx(5.0, abs=1e-3)
+    assert felt[0] == pytest.approx(felt[-1]) == pytest.approx(30.0, rel=0.01)
+    assert felt[499] == pytest.approx(20.0, rel=0.05)
+
+
+def test_creep_goes_by_a_power_of_its_stress():
+    """A branch held at a bend relaxes as ẋ = (q − x)/τ (|q − x|/x₀)²."""
+    from scipy.integrate import solve_ivp
+
+    kind: Any = REGISTRY["viscoelastic_creep"]
+    creep, bend, h = kind(stiffness=1.0, tau_s=0.5, order=3.0), 0.05, 0.002
+    now: Any = SimpleNamespace(q=(jnp.asarray(bend),), h=jnp.asarray(h))
+    memory: Any = ((jnp.zeros(()),), (jnp.zeros(()),))
+    for _ in range(500):
+        memory = creep.remember(memory, now, now)
+    ode = solve_ivp(lambda _, x: (bend - x) / 0.5 * ((bend - x) / 0.03) ** 2, (0, 1.0), [0.0], rtol=1e-9)
+    assert float(memory[0][0]) == pytest.approx(float(ode.y[0, -1]), rel=5e-3)
+    assert float(memory[1][0]) < 0.5 * float(memory[0][0])
+
+
+def test_layers_rub_more_the_more_they_are_bent():
+    """hφ|q| against the motion, turning round within x₀."""
+    kind: Any = REGISTRY["layer_hysteresis"]
+    rubs, phi = kind(with_bend=0.05, width_rad=0.01), 20.0
+    path = [*np.linspace(0.0, 0.2, 201), *np.linspace(0.2, 0.1, 101)]
+    memory, felt = None, []
+    for q, after in zip(path[:-1], path[1:], strict=True):
+        at: Any = SimpleNamespace(q=(jnp.asarray(q),), middle=(jnp.asarray(q),), phi=(jnp.asarray(phi),), vacuum=0.0)
+        memory = rubs.start(at) if memory is None else memory
+        felt.append(float(rubs.load(memory, (jnp.zeros(()),), at)[0]))
+        memory = rubs.remember(memory, at, SimpleNamespace(q=(jnp.asarray(after),)))
+    assert felt[200] == pytest.approx(-0.05 * phi * 0.2, rel=1e-3)
+    assert felt[-1] == pytest.approx(0.05 * phi * 0.101, rel=1e-3)
+    assert abs(felt[200 + 7]) < 0.2 * abs(felt[200])
