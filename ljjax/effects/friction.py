@@ -57,15 +57,21 @@ class LoadDependentFriction(Effect):
 
 
 class ThermalDrift(Effect):
-    """Friction and stiffness drift as the robot warms: times 1 + b ΔT. Where no temperature is logged ΔT is the time
-    since the first run began, 10 K (1 − exp(−t/600 s))."""
+    """Friction and stiffness drift as the robot warms: times 1 + b W, W = (1 − exp(−c ΔT))/c, which is ΔT for c = 0 and
+    soon at its end for a large c. Where no temperature is logged ΔT is the time since the first run began, 10 K (1 −
+    exp(−t/600 s)), and c says how much faster, or slower, the robot is."""
 
     id, block, axes = "thermal_drift", "friction", ("run", "time", "direction")
-    friction_per_k: jax.Array = parameter("1/K", 0.0, -0.2, 0.2, 0.01)
-    stiffness_per_k: jax.Array = parameter("1/K", 0.0, -0.2, 0.2, 0.01)
+    friction_per_k: jax.Array = parameter("1/K", 0.0, -2.0, 2.0, 0.01)
+    stiffness_per_k: jax.Array = parameter("1/K", 0.0, -2.0, 2.0, 0.01)
+    curve_per_k: jax.Array = shape("1/K", 0.0, -0.3, 3.0, (0.6, 0.0))
+
+    def _warmed(self, warm):
+        c = jnp.where(jnp.abs(self.curve_per_k) > 1e-6, self.curve_per_k, 1e-6 + 0.0 * self.curve_per_k)
+        return -jnp.expm1(-c * warm) / c
 
     def alpha2(self, memory, alpha2, now):
-        return tuple(a * (1 + self.stiffness_per_k * now.warm) for a in alpha2)
+        return tuple(a * (1 + self.stiffness_per_k * self._warmed(now.warm)) for a in alpha2)
 
     def phi(self, memory, phi, now):
-        return tuple(p * (1 + self.friction_per_k * now.warm) for p in phi)
+        return tuple(p * (1 + self.friction_per_k * self._warmed(now.warm)) for p in phi)

@@ -407,3 +407,19 @@ def test_layers_rub_more_the_more_they_are_bent():
     assert felt[200] == pytest.approx(-0.05 * phi * 0.2, rel=1e-3)
     assert felt[-1] == pytest.approx(0.05 * phi * 0.101, rel=1e-3)
     assert abs(felt[200 + 7]) < 0.2 * abs(felt[200])
+
+
+def test_a_robot_may_warm_faster_than_is_taken_for_granted():
+    """W goes as 1 − exp(−t/τ) of 110 s where ΔT is taken to go with 600 s; c = 0 is ΔT itself."""
+    kind: Any = REGISTRY["thermal_drift"]
+    t = np.array([60.0, 150.0, 300.0, 540.0])
+    given = -10.0 * np.expm1(-t / 600.0)
+
+    def drift(curve: float) -> np.ndarray:
+        warms = kind(friction_per_k=0.1, curve_per_k=curve)
+        return np.array([float(warms.phi((), (jnp.ones(()),), SimpleNamespace(warm=w))[0]) - 1 for w in given])
+
+    np.testing.assert_allclose(drift(0.0), 0.1 * given, rtol=1e-4)
+    np.testing.assert_allclose(
+        drift(0.6) / drift(0.6)[-1], -np.expm1(-t / 110.0) / -np.expm1(-540.0 / 110.0), atol=0.03
+    )
