@@ -158,16 +158,16 @@ def _ends(now: Now) -> tuple[Vector, Vector]:
 
 class TipPayload(Effect):
     """An unmodelled mass m at the tip of a body that hangs: its gravity m g (x_tip − x_i) and its inertia; where it
-    sits beside the axis by e, also the moment m e g cos ψ."""
+    sits beside the axis by e, no further than a load is hung, also the moment m e g cos ψ."""
 
     id, block, axes = "tip_payload", "structure", ("angle", "rate", "everywhere")
     mass_kg: jax.Array = parameter("kg", 0.0, 0.0, 5.0, 0.02)
-    aside_kg_m: jax.Array = parameter("kg·m", 0.0, -0.2, 0.2, 0.0005)
+    aside_m: jax.Array = shape("m", 0.0, -0.05, 0.05, (-0.02, 0.0, 0.02))
 
     def load(self, memory, load, now):
         across, _ = _ends(now)
-        aside = self.aside_kg_m * now.cos[-1]
-        return tuple(x - GRAVITY * (self.mass_kg * a + aside) for x, a in zip(load, across, strict=True))
+        aside = self.aside_m * now.cos[-1]
+        return tuple(x - GRAVITY * self.mass_kg * (a + aside) for x, a in zip(load, across, strict=True))
 
     def inertia(self, m, now):
         across, along = _ends(now)

@@ -280,11 +280,12 @@ def test_effects_have_their_priors_and_pushes_their_time(robot):
         push_for_s=(0.05, 0.05),
         effects={"effects.base_tilt.tilt_rad": (0.1, 0.2)},
     )
-    model, given = uncertain(robot(), vary, ["tip_payload"], {}, {}, {"effects.tip_payload.mass_kg": (0.2, 0.1)})
-    assert [e.id for e in model.effects] == ["base_tilt", "tip_payload"]
+    weight = "effects.gravity_distribution.link_weight_n"
+    model, given = uncertain(robot(), vary, ["gravity_distribution"], {}, {}, {weight: (0.2, 0.1)})
+    assert [e.id for e in model.effects] == ["base_tilt", "gravity_distribution"]
     own = {x.name: (x.a, x.b) for x in given.entries}
-    assert own["effects.base_tilt.tilt_rad"] == (0.1, 0.2) and own["effects.tip_payload.mass_kg"] == (0.2, 0.1)
-    assert "effects.tip_payload.aside_kg_m" in own and {"effects.tip_payload"} <= set(given.groups)
+    assert own["effects.base_tilt.tilt_rad"] == (0.1, 0.2) and own[weight] == (0.2, 0.1)
+    assert "effects.gravity_distribution.mode1" in own and {"effects.gravity_distribution"} <= set(given.groups)
     vary = replace(
         vary, noise_rad=(3e-4, 3e-4), compute_ticks=(2.0, 2.0), effects={"effects.base_tilt.tilt_rad": (0.1, 0.0)}
     )

@@ -423,3 +423,14 @@ def test_a_robot_may_warm_faster_than_is_taken_for_granted():
     np.testing.assert_allclose(
         drift(0.6) / drift(0.6)[-1], -np.expm1(-t / 110.0) / -np.expm1(-540.0 / 110.0), atol=0.03
     )
+
+
+def test_a_load_beside_the_axis_is_a_load(robot):
+    """Its moment goes with its mass: a tilted base is no payload without one."""
+    kind: Any = REGISTRY["tip_payload"]
+    model, zero = robot(2), (jnp.zeros(()),) * 2
+    now: Any = SimpleNamespace(model=model, middle=zero, sin=zero, cos=(jnp.ones(()),) * 2)
+    assert [float(x) for x in kind(mass_kg=0.0, aside_m=0.05).load((), zero, now)] == [0.0, 0.0]
+    both = kind(mass_kg=0.1, aside_m=0.05).load((), zero, now)
+    np.testing.assert_allclose(both, -9.80665 * 0.1 * 0.05)
+    assert limits(dataclasses.replace(model, effects=(kind(),)))["effects.tip_payload.aside_m"] == (-0.05, 0.05)
