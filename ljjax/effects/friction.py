@@ -56,6 +56,10 @@ class LoadDependentFriction(Effect):
         return tuple(p + more * s for p, s in zip(phi, towards_base(self.to_base, len(phi)), strict=True))
 
 
+SMALL = 1e-5
+"""A curve that is none [1/K]."""
+
+
 class ThermalDrift(Effect):
     """Friction and stiffness drift as the robot warms: times 1 + b W, W = (1 − exp(−c ΔT))/c, which is ΔT for c = 0 and
     soon at its end for a large c. Where no temperature is logged ΔT is the time since the first run began, 10 K (1 −
@@ -67,7 +71,8 @@ class ThermalDrift(Effect):
     curve_per_k: jax.Array = shape("1/K", 0.0, -0.3, 3.0, (0.6, 0.0))
 
     def _warmed(self, warm):
-        c = jnp.where(jnp.abs(self.curve_per_k) > 1e-6, self.curve_per_k, 1e-6 + 0.0 * self.curve_per_k)
+        c = self.curve_per_k
+        c = jnp.where(jnp.abs(c) > SMALL, c, SMALL + c)  # so that its derivative is there at 0
         return -jnp.expm1(-c * warm) / c
 
     def alpha2(self, memory, alpha2, now):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -29,7 +30,7 @@ def saturated(x: Array, knee: Array, order: Array) -> Array:
     """xⁿ/(xⁿ + kneeⁿ) for x > 0, 0 below."""
     some = x > 0
     over = jnp.log(jnp.where(some, x, 1.0 + 0.0 * x) / knee)
-    return jnp.where(some, 1 / (1 + jnp.exp(-order * over)), 0.0 * x)
+    return jnp.where(some, jax.nn.sigmoid(order * over), 0.0 * x)
 
 
 def bounded(x: Array, limit: Array, edge: Array) -> Array:

@@ -420,6 +420,10 @@ def test_a_robot_may_warm_faster_than_is_taken_for_granted():
         return np.array([float(warms.phi((), (jnp.ones(()),), SimpleNamespace(warm=w))[0]) - 1 for w in given])
 
     np.testing.assert_allclose(drift(0.0), 0.1 * given, rtol=1e-4)
+    slope = jax.grad(lambda c: kind(friction_per_k=0.1, curve_per_k=c).phi((), (1.0,), SimpleNamespace(warm=6.0))[0])(
+        0.0
+    )
+    assert float(slope) == pytest.approx(-0.1 * 6.0**2 / 2, rel=1e-3)  # or no fit would ever leave c = 0
     np.testing.assert_allclose(
         drift(0.6) / drift(0.6)[-1], -np.expm1(-t / 110.0) / -np.expm1(-540.0 / 110.0), atol=0.03
     )
