@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import stats
 
 
 @dataclass(frozen=True)
@@ -148,20 +149,26 @@ def interval(
 ) -> tuple[float, float] | None:
     """95 % interval of the closed fraction on `picked` runs that no fit has seen, from the squared errors (R,) of all
     runs, the last `picked` of them unseen: what fitted runs keep is raised to what unseen ones do on average, and the
-    floor is known to `FLOOR` of itself."""
-    fitted = np.arange(len(before)) < len(before) - max(picked, 1)
+    floor is known to `FLOOR` of itself. What is drawn from few runs spreads too little: the quantiles are moved away
+    from the median by what Student's t asks of R runs for the mean of `picked` further ones."""
+    runs = len(before)
+    fitted = np.arange(runs) < runs - max(picked, 1)
     kept = after - floor
     if fitted.any():
         kept = np.where(fitted, kept + max(kept[~fitted].mean() - kept[fitted].mean(), 0.0), kept)
-    index = rng.integers(0, len(before), (draws, max(picked, 1)))
+    index = rng.integers(0, runs, (draws, max(picked, 1)))
     doubt = FLOOR * rng.standard_normal(draws) * floor.mean() * max(picked, 1)
     gap = (before - floor)[index].sum(axis=1) - doubt
     left = kept[index].sum(axis=1) - doubt
     good = gap > 0
     if good.sum() < draws // 2:
         return None
-    low, high = np.quantile(1 - left[good] / gap[good], [0.025, 0.975])
-    return float(low), float(high)
+    low, middle, high = np.quantile(1 - left[good] / gap[good], [0.025, 0.5, 0.975])
+    few = 1.0
+    if runs > 1:
+        scale = (runs / (runs - 1)) ** 0.5 * (1 + max(picked, 1) / runs) ** 0.5
+        few = float(stats.t.ppf(0.975, runs - 1) / stats.norm.ppf(0.975)) * scale
+    return float(middle + few * (low - middle)), float(middle + few * (high - middle))
 
 
 def main_of(probability: Mapping[str, float], candidates: Sequence[str]) -> str:

@@ -157,10 +157,11 @@ def scoreboard(rows: Sequence[Row], timing: Mapping[str, float] | None) -> dict[
 
 
 def calibration(rows: Sequence[Row]) -> dict[str, Any]:
-    """Of the top probability: expected calibration error over ten bins; Brier score of all probabilities."""
+    """Of the top probability: expected calibration error over ten bins, and what chance alone makes of it on so many
+    cases were every probability true; Brier score of all probabilities."""
     stated = [r for r in rows if r["top"]]
     if not stated:
-        return {"ece": None, "brier": None, "bins": []}
+        return {"ece": None, "by_chance": None, "brier": None, "bins": []}
     p = np.array([r["top"][0][1] for r in stated])
     right = np.array([r["top_right"] for r in stated], float)
     at = np.minimum((p * BINS).astype(int), BINS - 1)
@@ -169,8 +170,16 @@ def calibration(rows: Sequence[Row]) -> dict[str, Any]:
         for k in range(BINS)
         if np.any(at == k)
     ]
-    ece = sum(b["cases"] * abs(b["stated"] - b["right"]) for b in bins) / len(p)
-    return {"ece": float(ece), "brier": float(np.mean([r["brier"] for r in stated])), "bins": bins}
+    drawn = np.random.default_rng(0).random((2000, len(p))) < p
+    ece, *chance = (
+        sum(abs((p - outcome)[at == k].sum()) for k in np.unique(at)) / len(p) for outcome in (right, *drawn)
+    )
+    return {
+        "ece": float(ece),
+        "by_chance": float(np.mean(chance)),
+        "brier": float(np.mean([r["brier"] for r in stated])),
+        "bins": bins,
+    }
 
 
 def confusion(rows: Iterable[Row]) -> dict[str, dict[str, int]]:

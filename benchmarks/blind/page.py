@@ -34,7 +34,8 @@ def write(found: Mapping[str, Any], command: str, docs: Path) -> None:
     c = found["calibration"]
     if c["bins"]:
         lines.append(
-            f"Calibration of the first answer's probability: expected calibration error {c['ece']:.3f}, Brier score "
+            f"Calibration of the first answer's probability: expected calibration error {c['ece']:.3f}, where "
+            f"true probabilities would show {c['by_chance']:.3f} on average over so few cases; Brier score "
             f"{c['brier']:.3f} over all answers.\n\n![Reliability](blind_reliability.png)\n\n"
         )
         figures.reliability(found, docs / "blind_reliability.png")

@@ -88,6 +88,9 @@ def test_the_scoreboard_counts_and_the_page_shows_failures(tmp_path):
     assert by_name["effect claimed where there is none"]["value"] == 1.0
     assert by_name["time of the diagnosis over that of ljjax fit"]["met"]
     assert found["calibration"]["ece"] == pytest.approx(0.9 - 1 / 3)
+    # three answers of 0.9 in one bin: the mean of |k/3 - 0.9| over the binomial k of true probabilities
+    chance = sum(w * abs(k / 3 - 0.9) for k, w in enumerate((0.001, 0.027, 0.243, 0.729)))
+    assert found["calibration"]["by_chance"] == pytest.approx(chance, rel=0.1)
     page.write(found, "make blind", tmp_path)
     text = (tmp_path / "blind.md").read_text()
     assert "| true cause ranked first | ≥ 0.90 | 0.5 | 0.09 – 0.91 | 2 | **missed** |" in text

@@ -69,6 +69,17 @@ def test_the_interval_is_of_runs_that_no_fit_has_seen():
     assert low < 1.0 < high  # the floor itself is not known exactly
 
 
+def test_the_interval_of_few_runs_covers_what_many_would_show():
+    rng, share, hits = np.random.default_rng(1), 0.05, []
+    for _ in range(200):
+        floor = np.ones(4)
+        before = floor + 20 * rng.lognormal(0.0, 0.3, 4)
+        after = floor + (before - floor) * share * rng.lognormal(0.0, 0.5, 4)
+        low, high = judge.interval(before, after, floor, 1, rng, draws=500) or (1.0, 0.0)
+        hits.append(low <= 1 - share * np.exp(0.5**2 / 2) <= high)
+    assert 0.83 < np.mean(hits) < 1.0  # 0.7 without Student's t
+
+
 def test_of_several_effects_each_exchange_is_known_by_what_went_and_what_came():
     def refit(*ids: str) -> Any:
         return SimpleNamespace(ids=ids)
