@@ -18,7 +18,7 @@ import time
 from collections.abc import Mapping
 from typing import IO, Any, NamedTuple
 
-from ljjax.rig.eye import RESULT
+from ljjax.rig.eye import Result
 from ljjax.rig.keys import Keys
 from ljjax.rig.robot import NAN, RigError
 
@@ -61,13 +61,15 @@ class TagCamera:
         self._process: subprocess.Popen[bytes] | None = None
         self._said: IO[bytes] | None = None
         self._map: mmap.mmap | None = None
+        self._result: Result | None = None
 
     def connect(self) -> None:
         """Start the process and wait for its first picture. Raises RigError."""
         with tempfile.NamedTemporaryFile(prefix="ljjax_eye_", delete=False) as file:
-            file.write(bytes(RESULT.size))
+            file.write(bytes(Result.BYTES))
             file.flush()
-            self._map = mmap.mmap(file.fileno(), RESULT.size)
+            self._map = mmap.mmap(file.fileno(), Result.BYTES)
+            result = self._result = Result(self._map)
         try:
             self._said = tempfile.TemporaryFile()
             command = [sys.executable, "-m", "ljjax.rig.eye", file.name, json.dumps(self._options)]
@@ -79,7 +81,7 @@ class TagCamera:
                 start_new_session=True,  # an interrupt is the loop's, which still needs the shape to come to rest
             )
             end = time.monotonic() + self._wait
-            while not self._result()[2]:
+            while not result.get()[2]:
                 if self._process.poll() is not None:
                     raise RigError(self._ended())
                 if time.monotonic() > end:
@@ -94,9 +96,9 @@ class TagCamera:
 
     def read(self) -> Shape:
         """The last shape seen."""
-        if self._process is None:
+        if self._process is None or self._result is None:
             return Shape()
-        stamp, bend, _ = self._result()
+        stamp, bend, _ = self._result.get()
         gone = (self._ended(),) if self._process.poll() is not None else ()
         return Shape(stamp, (self._sign * bend - self._zero) / self._segments, gone)
 
@@ -106,21 +108,11 @@ class TagCamera:
             if self._process is not None:
                 self._process.kill()
                 self._process.wait(10.0)
-        for held in (self._map, self._said):
+        for held in (self._result, self._map, self._said):
             with contextlib.suppress(Exception):
                 if held is not None:
                     held.close()
-        self._process = self._map = self._said = None
-
-    def _result(self) -> tuple[float, float, int]:
-        """Stamp, bend and pictures, read between two writings."""
-        assert self._map is not None
-        while True:  # written from front to back, so the back is looked at first and the front last
-            whole = RESULT.unpack_from(self._map, 0)[4]
-            _, stamp, bend, pictures, _ = RESULT.unpack_from(self._map, 0)
-            number = RESULT.unpack_from(self._map, 0)[0]
-            if number == whole:
-                return (stamp, bend, pictures) if number else (-math.inf, NAN, 0)
+        self._process = self._result = self._map = self._said = None
 
     def _ended(self) -> str:
         """Why the process ended: the last line it wrote."""

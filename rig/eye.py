@@ -11,7 +11,6 @@ import json
 import math
 import mmap
 import os
-import struct
 import sys
 from typing import Any, NamedTuple
 
@@ -21,11 +20,42 @@ from ljjax.errors import InputError
 from ljjax.rig.frames import Frame, open_source
 from ljjax.rig.refine import Place, Refiner, bitmap
 from ljjax.rig.robot import NAN, RigError
+from ljjax.rig.shared import Shared
 
-RESULT = struct.Struct("<QddQQ")
-"""Number of the result, stamp [s], bend q_Σ [rad] counter-clockwise, pictures seen, the number again."""
 MARGIN = 0.6
 """What is searched beyond the tag's last place, of its size on each side."""
+
+
+class Result:
+    """The last result in memory of `BYTES` that two processes share: how many there were, and the last two of them by
+    turns, each a stamp [s], a bend q_Σ [rad] counter-clockwise and the pictures seen. A place is written again only
+    after the number has moved on, so what is read is whole where the number stood still; and nothing waits for a
+    process that is killed as it writes."""
+
+    BYTES = 56
+
+    def __init__(self, memory: mmap.mmap):
+        self._at = Shared(memory, 7)
+
+    def put(self, stamp: float, bend: float, pictures: int) -> None:
+        """Write the next result."""
+        number = self._at.whole[0] + 1
+        place = 1 + 3 * (number % 2)
+        self._at.real[place], self._at.real[place + 1], self._at.whole[place + 2] = stamp, bend, pictures
+        self._at.whole[0] = number
+
+    def get(self) -> tuple[float, float, int]:
+        """Stamp, bend and pictures; −∞, NaN and 0 before there are any."""
+        while True:
+            number = self._at.whole[0]
+            place = 1 + 3 * (number % 2)
+            found = self._at.real[place], self._at.real[place + 1], self._at.whole[place + 2]
+            if self._at.whole[0] == number:
+                return found if number else (-math.inf, NAN, 0)
+
+    def close(self) -> None:
+        """Let go of the memory."""
+        self._at.close()
 
 
 class Seen(NamedTuple):
@@ -108,10 +138,10 @@ def main(path: str, options: str) -> None:
     parent = os.getppid()
     about = json.loads(options)
     with open(path, "rb+") as file:
-        shared = mmap.mmap(file.fileno(), RESULT.size)
+        result = Result(mmap.mmap(file.fileno(), Result.BYTES))
     source = open_source(about["source"], about["width"], about["height"], about["rate_hz"])
     eye = Eye(about["tag_id"])
-    pictures = number = 0
+    pictures = 0
     stamp, bend = -math.inf, NAN
     while os.getppid() == parent:
         frame = source.grab(0.1)
@@ -121,8 +151,7 @@ def main(path: str, options: str) -> None:
         pictures += 1
         if found is not None:
             stamp, bend = frame.stamp, found
-        number += 1
-        RESULT.pack_into(shared, 0, number, stamp, bend, pictures, number)
+        result.put(stamp, bend, pictures)
 
 
 if __name__ == "__main__":

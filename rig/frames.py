@@ -16,11 +16,13 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from ljjax.rig.robot import RigError
+from ljjax.rig.shared import Shared
 
 MAGIC = b"ljjaxpic"
-HEAD = struct.Struct("<8sIIIQ")
-"""Magic, width, height, slots, pictures written so far."""
-STAMPS_AT = 64
+HEAD = struct.Struct("<8sIII")
+"""Magic, width, height, slots."""
+COUNT, STAMPS = 3, 8
+"""Which number of eight bytes says how many pictures were written, and which is the first one's stamp."""
 PICTURES_AT = 4096
 
 
@@ -46,22 +48,23 @@ class FrameWriter:
 
     def __init__(self, path: str | os.PathLike[str], width: int, height: int, slots: int = 8):
         self._size, self._slots, self._count = width * height, slots, 0
-        self._head = MAGIC, width, height, slots
         with open(path, "wb+") as file:
             file.truncate(PICTURES_AT + slots * self._size)
             self._map = mmap.mmap(file.fileno(), 0)
-        HEAD.pack_into(self._map, 0, *self._head, 0)
+        self._numbers = Shared(self._map, STAMPS + slots)
+        HEAD.pack_into(self._map, 0, MAGIC, width, height, slots)
 
     def put(self, frame: Frame) -> None:
         """Write a picture; it counts once it is whole."""
         slot = self._count % self._slots
         at = PICTURES_AT + slot * self._size
         self._map[at : at + self._size] = frame.picture.tobytes()
-        struct.pack_into("<d", self._map, STAMPS_AT + 8 * slot, frame.stamp)
+        self._numbers.real[STAMPS + slot] = frame.stamp
         self._count += 1
-        HEAD.pack_into(self._map, 0, *self._head, self._count)
+        self._numbers.whole[COUNT] = self._count
 
     def close(self) -> None:
+        self._numbers.close()
         self._map.close()
 
 
@@ -72,25 +75,24 @@ class FrameReader:
         try:
             with open(path, "rb") as file:
                 self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-            magic, self._width, self._height, self._slots, self._seen = HEAD.unpack_from(self._map, 0)
+            magic, self._width, self._height, self._slots = HEAD.unpack_from(self._map, 0)
         except (OSError, ValueError, struct.error) as error:
             raise RigError(f"camera.source file:{path}: {error}; start the emulator or the camera's program") from None
         if magic != MAGIC:
             raise RigError(f"camera.source file:{path}: no file of pictures; give the one that the emulator names")
-
-    def _count(self) -> int:
-        return HEAD.unpack_from(self._map, 0)[4]
+        self._numbers = Shared(self._map, STAMPS + self._slots)
+        self._seen = self._numbers.whole[COUNT]
 
     def grab(self, wait_s: float) -> Frame | None:
         size, end = self._width * self._height, time.monotonic() + wait_s
         while True:
-            count = self._count()
+            count = self._numbers.whole[COUNT]
             if count > self._seen:
                 slot = (count - 1) % self._slots
                 at = PICTURES_AT + slot * size
                 picture = np.frombuffer(self._map[at : at + size], np.uint8).reshape(self._height, self._width)
-                (stamp,) = struct.unpack_from("<d", self._map, STAMPS_AT + 8 * slot)
-                if self._count() - count < self._slots - 1:  # not written over meanwhile
+                stamp = self._numbers.real[STAMPS + slot]
+                if self._numbers.whole[COUNT] - count < self._slots - 1:  # not written over meanwhile
                     self._seen = count
                     return Frame(stamp, picture)
             elif time.monotonic() > end:
@@ -99,6 +101,7 @@ class FrameReader:
                 time.sleep(0.0005)
 
     def close(self) -> None:
+        self._numbers.close()
         self._map.close()
 
 

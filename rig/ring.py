@@ -13,6 +13,7 @@ import tempfile
 from typing import NamedTuple
 
 from ljjax.rig.robot import Reading
+from ljjax.rig.shared import Shared
 
 NUMBERS = ("t", "state", "late_s", "busy_s", "missed", "rejected", "left", "right", "vacuum")
 READINGS = tuple(name for name in Reading._fields if name not in ("joints", "faults"))
@@ -23,7 +24,8 @@ TEXT = 400
 STARTING, RUNNING, FAILED, DONE = range(4)
 
 _ROW = struct.Struct(f"<{len(NUMBERS) + len(READINGS) + JOINTS}dIH{TEXT}s")
-_WRITTEN, _READ, _LOST, _SYNCED, _STATE, _WORDS, _ROWS = 0, 8, 16, 24, 32, 40, 1024  # where each begins
+_WRITTEN, _READ, _LOST, _SYNCED, _STATE = range(5)  # numbers of eight bytes each
+_WORDS, _ROWS = 40, 1024  # where each begins [bytes]
 
 
 class Row(NamedTuple):
@@ -44,10 +46,12 @@ class Ring:
             os.ftruncate(fd, size)
         self.fd = fd
         self._at = mmap.mmap(fd, size)
+        self._head = Shared(self._at, 5)
         self._count = self._get(_WRITTEN)
 
     def close(self) -> None:
         """Let the memory go."""
+        self._head.close()
         self._at.close()
         os.close(self.fd)
 
@@ -100,17 +104,17 @@ class Ring:
     @property
     def synced(self) -> float:
         """All rows that were there at this time [s, monotonic] are on the disk."""
-        return struct.unpack_from("<d", self._at, _SYNCED)[0]
+        return self._head.real[_SYNCED]
 
     @synced.setter
     def synced(self, t: float) -> None:
-        struct.pack_into("<d", self._at, _SYNCED, t)
+        self._head.real[_SYNCED] = t
 
     def _get(self, place: int) -> int:
-        return struct.unpack_from("<Q", self._at, place)[0]
+        return self._head.whole[place]
 
     def _set(self, place: int, value: int) -> None:
-        struct.pack_into("<Q", self._at, place, value)
+        self._head.whole[place] = value
 
 
 def _anonymous() -> int:
