@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -68,8 +69,8 @@ def sizes(kind: type[Effect], joints: int, logged: int) -> list[str]:
 
 
 def pilots(kind: type[Effect], span: Mapping[str, float], waves: Sequence[float] = ()) -> list[dict[str, float]]:
-    """Forms from which a search begins: name → value, one form varied at a time; `waves` [1/rad] where they are of
-    those."""
+    """Forms from which a search begins: name → value, one form varied at a time; where they are of `waves` [1/rad],
+    each wave with each of the other forms, as a search does not find its way from one wave to another."""
     forms = {n: about for n, about in kind.fields().items() if about["pilots"]}
     if not forms:
         return [{}]
@@ -80,6 +81,8 @@ def pilots(kind: type[Effect], span: Mapping[str, float], waves: Sequence[float]
         return [p * span[about["of"]] for p in about["pilots"]]
 
     values = {n: [min(max(x, about["low"]), about["high"]) for x in of(about)] for n, about in forms.items()}
+    if any(about["of"] == "waves" for about in forms.values()):
+        return [dict(zip(values, form, strict=True)) for form in itertools.product(*values.values())]
     middle = {n: v[len(v) // 2] for n, v in values.items()}
     out = [{**middle, n: x} for n, v in values.items() for x in v]
     return [form for i, form in enumerate(out) if form not in out[:i]]

@@ -90,14 +90,15 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
     right, other = ("no_gap", "parameters_only") if e.as_given else ("parameters_only", "no_gap")
     out[right], out[other] = (1 - ASIDE) * none, ASIDE * none
     blur = 0.004 + 8 * e.unit
+    least = min([0.0, *e.left.values()])  # what is left is told from the best: the noise is known to `FLOOR` only
     weight = {
         i: by.simpler ** -e.used.get(i, e.parameters[i])
-        * (max(left, 0.0) + blur + 2 * e.unit * e.parameters[i]) ** -by.sharpness
+        * (left - least + blur + 2 * e.unit * e.parameters[i]) ** -by.sharpness
         for i, left in e.left.items()
     }
     weight["unlisted_effect"] = 0.5 / by.simpler * (by.leaves + blur) ** -by.sharpness
     if e.flexible:
-        decoy = max(min(e.flexible.values()), 0.0) + blur + 2 * e.unit * TERMS
+        decoy = max(min(e.flexible.values()) - least, 0.0) + blur + 2 * e.unit * TERMS
         weight["unlisted_effect"] += by.simpler**-TERMS * decoy**-by.sharpness
     total = sum(weight.values())
     rest = 1 - sum(out.values())

@@ -175,7 +175,8 @@ WAVES = np.arange(4.0, 120.0, 0.4)
 
 
 def waves(found: Estimate) -> list[float]:
-    """The waves over the body's whole bend [1/rad] of which the residuals have most, at three pressures each."""
+    """Waves over the body's whole bend [1/rad] from which a search may come to any: the `ladder` of this bend and,
+    above it, those of which the residuals have most, at three pressures each."""
     windows, error = found.windows, found.error.mean(axis=1)
     bend = windows.y.mean(axis=1) * len(found.problem.motions[0].q0)
     pieces = []
@@ -184,7 +185,15 @@ def waves(found: Estimate) -> list[float]:
         vacuum = np.interp(windows.sample_t[mine], m.input_t, m.vacuum)
         group = np.digitize(vacuum, np.quantile(vacuum, [1 / 3, 2 / 3]))
         pieces += [(bend[mine[group == g]], error[mine[group == g]]) for g in np.unique(group)]
-    return waves_in(pieces)
+    rungs = ladder(max(float(np.ptp(bend[windows.sample_run == i])) for i in np.unique(windows.sample_run)))
+    return [*rungs, *(w for w in waves_in(pieces) if w > rungs[-1])]
+
+
+def ladder(wide: float) -> list[float]:
+    """Low waves [1/rad], so close that over a bend of this width [rad] a search comes from one to the next. Residuals
+    alone do not tell them: what stretches goes with the load, and what a wave leaves of the base with its length."""
+    low, high, most = 4.0, 30.0, 30
+    return list(np.arange(low, high, max(3.0 / max(wide, 1e-3), (high - low) / most)))
 
 
 def waves_in(pieces: Sequence[tuple[np.ndarray, np.ndarray]], count: int = 4) -> list[float]:

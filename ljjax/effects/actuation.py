@@ -133,8 +133,8 @@ class ActuatorRipple(Effect):
     right_sine2: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.03)
     right_cosine2: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.03)
     waves: jax.Array = shape("1/rad", 15.0, 2.0, 200.0, (5.0, 8.0, 12.0, 18.0, 27.0, 40.0), "waves")
-    stretch: jax.Array = shape("rad/N", 0.01, 1e-4, 0.3, (0.002, 0.015))
-    power: jax.Array = shape("1", 1.0, 0.0, 1.0, (1.0, 0.0))
+    stretch: jax.Array = shape("rad/N", 0.01, 1e-4, 0.3, (0.006, 0.018))
+    power: jax.Array = shape("1", 1.0, 0.0, 1.0, (0.5,))
 
     def actuate(self, memory, u, now):
         bend = sum(now.middle)

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from ljjax.effects import REGISTRY
 from ljjax.gap import judge
@@ -57,6 +58,11 @@ def test_the_share_left_parts_listed_from_unlisted():
     p = [judge.probabilities(evidence({"contact": x}))["unlisted_effect"] for x in (0.02, 0.1, 0.3, 0.6)]
     assert p == sorted(p)
     assert p[0] < judge.WEIGHTS.unforeseen and p[-1] > 0.9
+
+
+def test_where_the_noise_is_thought_too_large_candidates_are_told_by_what_they_leave_of_each_other():
+    exact, near = (judge.probabilities(evidence({"contact": x, "base_tilt": x + 0.002})) for x in (0.0, -0.002))
+    assert near["contact"] == pytest.approx(exact["contact"]) and near["contact"] > 2 * near["base_tilt"]
 
 
 def test_the_interval_is_of_runs_that_no_fit_has_seen():

@@ -31,13 +31,15 @@ def residuals(true: float, noise: float = 0.002) -> Any:
 def test_a_ripple_is_found_among_waves_of_any_length(true):
     found = waves(residuals(true))
     assert min(abs(w - true) for w in found) < 1.0
-    assert found == sorted(found) and len(found) <= 4
+    assert found == sorted(found) and len(found) <= 34
+    low = [w for w in found if w < 30]
+    assert max(np.diff(low)) < np.pi / 3 and low[0] == 4.0  # a bend of 3 rad is half a wave out by that much
     kind = REGISTRY["actuator_ripple"]
     span = {"": 1.0, "tension": 20.0}
     forms = pilots(kind, span, found)
     assert sorted({form["waves"] for form in forms}) == found
-    others = [len(about["pilots"]) - 1 for name, about in kind.fields().items() if about["pilots"] and name != "waves"]
-    assert len(forms) == len(found) + sum(others)  # one at a time, the middle of all once
+    others = [len(about["pilots"]) for name, about in kind.fields().items() if about["pilots"] and name != "waves"]
+    assert len(forms) == len(found) * np.prod(others)
     guessed = pilots(kind, span)
     assert {form["waves"] for form in guessed} == set(kind.fields()["waves"]["pilots"])
 
