@@ -231,17 +231,19 @@ def gather(
     first = searches[0]
     base, r, sigma = _projected(first)
     count = base.shape[2]
-    own = [_projected(s, first)[0] for s in searches[1:]]
-    extra = np.concatenate(own, axis=2)
+    extra = np.concatenate([_projected(s, first)[0] for s in searches[1:]], axis=2)
     n, c, m = extra.shape
     flat_base, flat, flat_r = base.reshape(n * c, count), extra.reshape(n * c, m), r.reshape(-1)
     q, triangle = np.linalg.qr(flat_base)
     along = q.T @ flat
-    flat = flat - q @ along
     flat_r = flat_r - q @ (q.T @ flat_r)
     run = np.repeat(first.windows.sample_run, c)
-    parts = [(flat[run == k], flat_r[run == k]) for k in np.unique(run)]
-    grams, scores = np.stack([j.T @ j for j, _ in parts]), np.stack([j.T @ e for j, e in parts])
+    parts = []
+    for k in np.unique(run):  # one at a time: all columns of all runs are large
+        mine = run == k
+        j = flat[mine] - q[mine] @ along
+        parts.append((j.T @ j, j.T @ flat_r[mine]))
+    grams, scores = (np.stack(x) for x in zip(*parts, strict=True))
     gram, score = grams.sum(axis=0), scores.sum(axis=0)
     inverse = np.linalg.pinv(triangle)
     gains, firm, steps, base_steps = {}, {}, {}, {}
