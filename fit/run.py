@@ -23,6 +23,7 @@ from ljjax.fit.windows import Motion, Source, motion
 from ljjax.logs import Run
 from ljjax.model import UNITS, check, get, replace, units
 from ljjax.modelfile import ModelFile
+from ljjax.simulation import check_joints
 
 Method = Literal["lm", "adam"]
 Progress = Callable[[str, int, int], None]
@@ -209,6 +210,7 @@ def prepared(
             said.append(f"left out: {run.path}: the same log as {seen[run.sha256]}")
             continue
         seen[run.sha256] = run.path
+        check_joints(run, start.model.n)  # not left out: the model is another robot's
         static = run.experiment.lower().startswith("steady") or "probe" in run.signals
         try:
             if static:

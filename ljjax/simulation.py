@@ -177,6 +177,16 @@ def _fast(model, inputs, initial, at, start, h, steps, errors: bool) -> Trajecto
     return Trajectory(at, State(*motion[:3]), jnp.all(finite), steps, motion.seen, error)
 
 
+def check_joints(run: Run, n: int) -> None:
+    """Raise InputError where a run's shape is neither θ nor the angles of n joints."""
+    shape = run.signals.get("shape")
+    if shape is not None and (joints := shape.value.shape[1]) not in (1, n):
+        raise InputError(
+            f"{run.path}: {shape.topic}: {joints} joint angles for a model of {n} segments; "
+            "give a model with chain.segments to match"
+        )
+
+
 def initial_shape(run: Run, n: int) -> Array:
     """(n,) the shape [rad] a run starts from: the mean of the samples before its commands first change, in the first
     second; the first sample at least, and alone where no commands are logged. Joints share θ where only θ is logged."""
@@ -191,11 +201,7 @@ def initial_shape(run: Run, n: int) -> Array:
     still = shape.t <= min(moves, default=shape.t[0])
     still[0] = True
     mean = shape.value[still].mean(axis=0)
-    if mean.size not in (1, n):
-        raise InputError(
-            f"{run.path}: {shape.topic}: {mean.size} joint angles for a model of {n} segments; "
-            "give a model with chain.segments to match"
-        )
+    check_joints(run, n)
     return jnp.broadcast_to(jnp.asarray(mean, float), (n,))
 
 

@@ -137,9 +137,10 @@ class Without:
             self.log.write(name, *values, **more)
 
 
-def weak(folder: Path, bend: float, tension: float, *missing: str) -> list[str]:
-    """Three runs that bend to so many radians a joint under so many newtons, some signals left out; and a model."""
-    robot = draw(ROBOT + 1)[ROBOT]
+def weak(folder: Path, bend: float, tension: float, *missing: str, columns: int = 1) -> list[str]:
+    """Three runs that bend to so many radians a joint under so many newtons, some signals left out, θ logged or each
+    of 6 joints; and a model."""
+    robot = replace(draw(ROBOT + 1)[ROBOT], columns=columns)
     folder.mkdir()
     wave = np.sin(np.linspace(0, 12, round(SECONDS / PERIOD_S)))
     for k, experiment in enumerate(plan(robot, SECONDS, seed=3)[:3]):
@@ -168,6 +169,16 @@ def test_runs_that_cannot_tell_are_refused_with_the_reason(tmp_path, capsys, ben
     assert main(["gap", *args]) == 2
     error = capsys.readouterr().err
     assert said in error and "Traceback" not in error
+    assert not (tmp_path / "robot" / "out").exists()
+
+
+def test_a_model_of_another_robot_is_refused(tmp_path, capsys):
+    """Rather than its runs left out one by one, and what rests in them diagnosed as if it were all."""
+    args = weak(tmp_path / "robot", 0.1, 1.0, columns=6)
+    given = tmp_path / "robot" / "nominal.toml"
+    given.write_text(given.read_text().replace("segments = 6", "segments = 4"))
+    assert main(["gap", *args]) == 2
+    assert "6 joint angles for a model of 4 segments; give a model" in capsys.readouterr().err
     assert not (tmp_path / "robot" / "out").exists()
 
 
