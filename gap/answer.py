@@ -33,13 +33,6 @@ def answer(inquiry: Inquiry) -> Diagnosis:
     setting, study, base, chosen = inquiry.setting, inquiry.setting.study, inquiry.base, inquiry.chosen
     refits = [base, chosen] if chosen is not base else [base]
     seen = study.predict([*refits, inquiry.given], setting.test)
-    equivalent = _equivalent(inquiry)
-    if equivalent and len(chosen.ids) == 1:
-        single = inquiry.found.single
-        likeliest = judge.main_of(inquiry.probability, equivalent[0])
-        if likeliest != chosen.ids[0] and single[likeliest].total <= 1.02 * chosen.total:
-            chosen = single[likeliest]
-            seen[1] = study.predict([chosen], setting.test)[0]
     rivals, gap = _rivals(inquiry, chosen), _gap(inquiry, chosen, seen)
     return Diagnosis(
         verdict=inquiry.verdict,
@@ -48,7 +41,7 @@ def answer(inquiry: Inquiry) -> Diagnosis:
         where=_where(inquiry, chosen),
         effects=_findings(inquiry),
         selected=list(chosen.ids),
-        equivalent=equivalent,
+        equivalent=inquiry.equivalent,
         minimum_detectable=_detectable(inquiry),
         next_experiment=next_experiment(study, list(rivals.values()), list(rivals)),
         base=_file(inquiry, base),
@@ -108,19 +101,6 @@ def _folds(inquiry: Inquiry, chosen: Refit) -> list[Fold]:
         runs, vacuum = tuple(m.run.run_id for m in mine), float(np.mean([m.vacuum.mean() for m in mine]))
         out.append(Fold(by, runs, vacuum, float(closed) if np.isfinite(closed) else None))
     return out
-
-
-def _equivalent(inquiry: Inquiry) -> list[list[str]]:
-    if inquiry.verdict != "listed_effect":
-        return []
-    ids, found, unit = inquiry.chosen.ids, inquiry.found, inquiry.evidence.unit
-    if len(ids) == 1:
-        groups = [judge.equivalents({i: inquiry.evidence.left[i] for i in found.single}, ids[0], unit)]
-    else:
-        least = {i: inquiry.left(found.best) for i in ids}
-        others = {i: {new: inquiry.left(r) for out, new, r in found.exchanged if out == i} for i in ids}
-        groups = [judge.equivalents({i: least[i], **others[i]}, i, unit) for i in ids]
-    return [group for group in groups if len(group) > 1]
 
 
 def _findings(inquiry: Inquiry) -> list[Finding]:

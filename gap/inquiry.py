@@ -59,7 +59,8 @@ class Inquiry:
         screen, measured, found: candidates to first order; what measured inputs say; candidates refitted, as
             `selection` chose them.
         floor, excess: of the base's loss, the noise's part and the rest.
-        evidence, probability, verdict, chosen: what comes of it.
+        evidence, probability, verdict, chosen, equivalent: what comes of it; of effects chosen, the groups of those
+            that cannot be told from them.
         gained, null, one: the loss that each refit takes away, the largest losses that chance takes away (D,), and the
             loss that a χ² of 1 stands for.
     """
@@ -78,8 +79,27 @@ class Inquiry:
         self.null = self.screen.null(setting.rng) * self.one
         self.evidence = self._evidence()
         self.probability = judge.probabilities(self.evidence)
-        self.verdict = judge.verdict(self.probability)
-        self.chosen = study.polished(self.found.best) if self.verdict == "listed_effect" else self.base
+        best = self._best()
+        alike = self._alike(best.ids)
+        self.verdict = judge.verdict(self.probability, {*best.ids, *(i for group in alike for i in group)})
+        listed = self.verdict == "listed_effect"
+        self.chosen, self.equivalent = (study.polished([best])[0], alike) if listed else (self.base, [])
+
+    def _best(self) -> Refit:
+        """What was found; of effects that explain the runs alone, the most probable."""
+        best, single = self.found.best, self.found.single
+        return best if len(best.ids) > 1 else single[judge.main_of(self.probability, list(single))]
+
+    def _alike(self, ids: Sequence[str]) -> list[list[str]]:
+        """For each of the effects found that has any, itself and those that cannot be told from it."""
+        found, unit = self.found, self.evidence.unit
+        if len(ids) == 1:
+            groups = [judge.equivalents({i: self.evidence.left[i] for i in found.single}, ids[0], unit)]
+        else:
+            least = {i: self.left(found.best) for i in ids}
+            others = {i: {new: self.left(r) for out, new, r in found.exchanged if out == i} for i in ids}
+            groups = [judge.equivalents({i: least[i], **others[i]}, i, unit) for i in ids]
+        return [group for group in groups if len(group) > 1]
 
     def _given(self) -> Refit:
         study = self.setting.study
@@ -108,8 +128,9 @@ class Inquiry:
             return np.where(before > judge.MATTERS * floor, 1 - after / before, np.nan)
 
     def leaves_unseen(self, refit: Refit) -> float:
-        """The share of the gap that a refit leaves over all folds."""
-        return float(self._unseen(refit).sum() / max(self._unseen(self.base).sum(), 1e-3 * self.selection.gap))
+        """The share of the gap that a refit leaves over all folds, the measured inputs' own gap among it."""
+        share = self._unseen(refit).sum() / max(self._unseen(self.base).sum(), 1e-3 * self.selection.gap)
+        return self.measured.joined(float(share), refit.fitted)
 
     def _unseen(self, refit: Refit) -> np.ndarray:
         """(F,) loss above the floor of each fold where it is left out."""
@@ -138,6 +159,7 @@ class Inquiry:
                 promised = 1 - screen.gains[screen.best(i)] / self.selection.gap
                 left[i] = max(measured.joined(promised, ()), 0.35)
         size = {i: found.single[i].trial.size if i in found.single else 1 for i in left}
+        unseen = {i: self.leaves_unseen(r) for i, r in found.single.items()}
         used = {i: r.used[i] for i, r in found.single.items()}
         if len(found.best.ids) > 1:
             used |= found.best.used
@@ -148,18 +170,20 @@ class Inquiry:
             for i in left:
                 if i in alone:  # the main one is that without which most is left
                     left[i] = least + behind[i]
+                    unseen[i] = self.leaves_unseen(found.best) + behind[i]
                 else:
+                    unseen.pop(i, None)
                     left[i] = left[i] / max(least_alone, 1e-9) * max(least_alone, 0.5)
             for place, i, r in found.exchanged:
                 if (as_it_does := self.left(r) + behind[place]) < left[i]:
                     left[i], used[i] = as_it_does, r.used[i]
+                    unseen[i] = self.leaves_unseen(r) + behind[place]
                     size[i] = sum(p.startswith(f"effects.{i}.") for p in r.trial.start)
         chance = judge.chance(self.null, max(self.gained.values(), default=0.0), self.one)
         count = len(self.setting.study.names)
         worse = (self.given.total - self.base.total) / max(self.selection.variance_of(self.base), 1e-12)
         matters = judge.MATTERS * self.floor
         as_given = worse < count + 4 * np.sqrt(2 * count) or self.given.total < self.base.total + matters
-        unseen = {i: self.leaves_unseen(r) for i, r in found.single.items()}
         excess = self.excess / max(self.floor, 1e-9)
         flexible = self._flexible()
         return judge.Evidence(excess, left, size, self.unit, chance, bool(as_given), unseen, flexible, used)

@@ -2,13 +2,15 @@
 
 Two things part candidates. Chance: a gain must exceed the largest one that any candidate makes of data without an
 effect. And form: no effect has quite the form it has here, so that even the true cause leaves a share of the gap; what
-it leaves is taken to be spread as a power of 1/share, whatever the number of samples. Whatever the data say, something
-stays with what nobody has thought of. How much of each is in `Weights`.
+it leaves is taken to be spread as a power of 1/share, whatever the number of samples. A cause acts alike where it was
+not fitted, a stand-in for it seldom does: the share is the geometric mean of what is left where all conditions are
+fitted and of what is left where each is left out. Whatever the data say, something stays with what nobody has thought
+of. How much of each is in `Weights`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -32,7 +34,7 @@ class Weights:
     simpler: float
 
 
-WEIGHTS = Weights(5.0, 0.3, 0.05, 1.5)
+WEIGHTS = Weights(5.0, 0.25, 0.05, 1.5)
 """Chosen by hand."""
 NONE = 8.0
 """Odds before looking that no effect is there: a gain that chance makes once in a hundred leaves them even."""
@@ -60,7 +62,8 @@ class Evidence:
         unit: what a χ² of 1 is, as a share of the excess (the residuals' colour counted).
         chance: probability that data without an effect gain as much.
         as_given: whether the given model explains the runs no worse than the refitted base does.
-        unseen: by effect refitted alone, the share left where each condition is left out of the fits (to first order).
+        unseen: by effect refitted, the share left by the same refit where each condition is left out of the fits (to
+            first order).
         flexible: by place, the share that a stand-in of many terms there leaves (`ljjax.gap.stand_ins`); empty where
             the effects leave too little to ask.
         used: by effect, how many of its parameters are told from doing nothing, where known.
@@ -91,10 +94,10 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
     out[right], out[other] = (1 - ASIDE) * none, ASIDE * none
     blur = 0.004 + 8 * e.unit
     least = min([0.0, *e.left.values()])  # what is left is told from the best: the noise is known to `FLOOR` only
+    share = {i: _carried(left - least + blur, e.unseen.get(i, left) - least + blur) for i, left in e.left.items()}
     weight = {
-        i: by.simpler ** -e.used.get(i, e.parameters[i])
-        * (left - least + blur + 2 * e.unit * e.parameters[i]) ** -by.sharpness
-        for i, left in e.left.items()
+        i: by.simpler ** -e.used.get(i, e.parameters[i]) * (x + 2 * e.unit * e.parameters[i]) ** -by.sharpness
+        for i, x in share.items()
     }
     weight["unlisted_effect"] = 0.5 / by.simpler * (by.leaves + blur) ** -by.sharpness
     if e.flexible:
@@ -108,6 +111,12 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
     return out
 
 
+def _carried(fitted: float, left_out: float) -> float:
+    """Geometric mean of the shares left where all is fitted and where each condition is left out; the latter, of first
+    order only, counts neither for less than the former nor beyond the base's own."""
+    return float(np.sqrt(fitted * max(fitted, min(left_out, 1.0))))
+
+
 def chance(null: np.ndarray, gain: float, unit: float) -> float:
     """Probability that data without an effect gain as much, from draws (D,) of their largest gain; beyond all draws
     the tail of χ², whose unit is given."""
@@ -115,12 +124,12 @@ def chance(null: np.ndarray, gain: float, unit: float) -> float:
     return float(p * np.exp(-0.5 * max(gain - null.max(), 0.0) / unit))
 
 
-def verdict(probability: Mapping[str, float]) -> str:
-    """The answer that the probabilities give."""
+def verdict(probability: Mapping[str, float], named: Collection[str]) -> str:
+    """The answer that the probabilities give where the effects `named`, those found and those that cannot be told from
+    them, are what a listed one would be: others that are probable too do not speak for them."""
     last = {i: probability[i] for i in ("no_gap", "parameters_only", "unlisted_effect")}
-    listed = sum(p for i, p in probability.items() if i not in last)
     name, most = max(last.items(), key=lambda x: x[1])
-    return "listed_effect" if listed > most else name
+    return "listed_effect" if sum(probability[i] for i in named) > most else name
 
 
 def equivalents(left: Mapping[str, float], main: str, unit: float) -> list[str]:

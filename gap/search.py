@@ -169,12 +169,12 @@ class Study:
             best = [r for r in again if before[id(r.trial)] - r.total > FALLING * before[id(r.trial)]]
         return first
 
-    def polished(self, refit: Refit) -> Refit:
-        """A refit taken to its end."""
-        if refit.estimate.converged:
-            return refit
-        found = self._refit([refit.model], [refit.trial], {}, WHOLE, "the answer")
-        return min((refit, *found), key=lambda r: r.total)
+    def polished(self, refits: Sequence[Refit], stage: str = "the answer") -> list[Refit]:
+        """Refits taken to their end, side by side, the search begun anew at each: one that had crept to rest by ever
+        shorter steps may have further to go."""
+        found = self._refit([r.model for r in refits], [r.trial for r in refits], {}, WHOLE, stage)
+        further = {id(r.trial): r for r in found}
+        return [min((further.get(id(r.trial), r), r), key=lambda x: x.total) for r in refits]
 
     def _begun(self, like: Model, trial: Trial) -> Model:
         whole = universal(like, self.kinds)

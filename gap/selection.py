@@ -34,6 +34,10 @@ FURTHER, PAIRS, LEADING = 0.12, 0.25, 5
 leaders are."""
 
 
+CLOSE, CLOSER = 3, 2.0
+"""How many single effects are taken to their end before they are judged, none that leaves so many times the least."""
+
+
 @dataclass
 class Found:
     """What the search found: each effect's best refit alone, joint refits by their effects, the best of all."""
@@ -82,6 +86,7 @@ class Selection:
         self.floor = study.floor(sum(len(m.t) for m in study.motions))
         self.excess = base.total - self.floor
         self.found = self._forward(self._leaders())
+        self._finish()
 
     @property
     def gap(self) -> float:
@@ -243,6 +248,20 @@ class Selection:
         least = max(min(self.left(r) for r in rivals), 0.0)
         near = [r for r in rivals if self.left(r) <= judge.as_little(least, unit)]
         found.best = min(near, key=lambda r: (sum(r.used.values()), r.trial.size, self.left(r)))
+
+    def _finish(self) -> None:
+        """What was found taken to its end; of single effects those that come near the best too. What a refit leaves
+        where a condition is left out is known to first order only where it has come to rest."""
+        found = self.found
+        if len(found.best.ids) > 1:
+            (found.best,) = self.study.polished([found.best])
+            found.joint[tuple(sorted(found.best.ids))] = found.best
+            return
+        least = self.left(found.best)
+        near = sorted(found.single.values(), key=self.left)[:CLOSE]
+        near = [r for r in near if self.left(r) <= CLOSER * max(least, 0.01)]
+        found.single |= {r.ids[0]: r for r in self.study.polished(near, "the best to their end")}
+        found.best = min(found.single.values(), key=self.left)
 
     def _prune(self, found: Found, unit: float) -> None:
         """Backward: without each of several effects, where the others do nearly as well from where they came to."""

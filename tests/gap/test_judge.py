@@ -24,7 +24,7 @@ def test_a_gap_that_no_candidate_explains_is_not_called_none():
     for excess, answer in ((5.0, "unlisted_effect"), (0.05, "parameters_only"), (-0.02, "parameters_only")):
         p = judge.probabilities(evidence({"contact": 0.99, "base_tilt": 0.98}, excess=excess, chance=1.0))
         assert abs(sum(p.values()) - 1) < 1e-9
-        assert judge.verdict(p) == answer
+        assert judge.verdict(p, ["base_tilt"]) == answer
         assert p[answer] > 0.9
         assert p["no_gap"] > 0 or answer == "unlisted_effect"  # nothing possible is given no chance at all
 
@@ -47,17 +47,39 @@ def test_a_stand_in_that_leaves_far_less_speaks_for_an_effect_outside_the_librar
     """One that leaves a little less does not: it has many terms."""
     for left, answer in ((0.01, "unlisted_effect"), (0.1, "listed_effect"), (0.6, "listed_effect")):
         decoy = dataclasses.replace(evidence({"contact": 0.12, "base_tilt": 0.9}), flexible={"friction": left})
-        assert judge.verdict(judge.probabilities(decoy)) == answer
+        assert judge.verdict(judge.probabilities(decoy), ["contact"]) == answer
     loud = dataclasses.replace(evidence({"contact": 0.12}, sizes={"contact": 3}), flexible={"body": 0.05})
     quiet = dataclasses.replace(loud, unit=3.4e-3)  # where chance alone takes that much for so many terms
-    assert judge.verdict(judge.probabilities(loud)) == "unlisted_effect"
-    assert judge.verdict(judge.probabilities(quiet)) == "listed_effect"
+    assert judge.verdict(judge.probabilities(loud), ["contact"]) == "unlisted_effect"
+    assert judge.verdict(judge.probabilities(quiet), ["contact"]) == "listed_effect"
 
 
 def test_the_share_left_parts_listed_from_unlisted():
     p = [judge.probabilities(evidence({"contact": x}))["unlisted_effect"] for x in (0.02, 0.1, 0.3, 0.6)]
     assert p == sorted(p)
     assert p[0] < judge.WEIGHTS.unforeseen and p[-1] > 0.9
+
+
+def test_what_does_not_carry_over_to_a_condition_left_out_is_likely_a_stand_in():
+    """Of a cause's form a wrong one may be fitted to every condition, yet not foretell one: a form that does either as
+    well is none; what a first-order step far astray says counts no more than the base's own error."""
+    carried, astray, far = (
+        judge.probabilities(dataclasses.replace(evidence({"contact": 0.12, "base_tilt": 0.9}), unseen={"contact": x}))
+        for x in (0.1, 0.7, 9.0)
+    )
+    alone = judge.probabilities(evidence({"contact": 0.12, "base_tilt": 0.9}))
+    assert carried == pytest.approx(alone)
+    assert alone["contact"] > 0.9 and astray["unlisted_effect"] > astray["contact"] > far["contact"] > 0.1
+    left = evidence({"contact": 0.01, "tip_payload": 0.03})
+    better = dataclasses.replace(left, unseen={"contact": 0.5, "tip_payload": 0.04})
+    assert judge.probabilities(left)["contact"] > 0.9 and judge.probabilities(better)["tip_payload"] > 0.9
+
+
+def test_a_cause_is_named_where_it_is_more_probable_than_what_nobody_knows():
+    """What else might be it and could be told from it does not speak for it; what cannot be told from it does."""
+    p = {"no_gap": 0.0, "parameters_only": 0.0, "unlisted_effect": 0.4, "contact": 0.35, "sensor_scale": 0.25}
+    assert judge.verdict(p, ["contact"]) == "unlisted_effect"
+    assert judge.verdict(p, ["contact", "sensor_scale"]) == "listed_effect"
 
 
 def test_where_the_noise_is_thought_too_large_candidates_are_told_by_what_they_leave_of_each_other():
