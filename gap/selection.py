@@ -20,8 +20,6 @@ LEADERS, FEW, SECOND, MOST = 12, 4, 5, 3
 before, and how many are found at most."""
 BOLD = 5
 """How many leaders of the base's screen, and how many of the given model's, are begun afresh."""
-AFRESH = 0.3
-"""Where the best candidate leaves more than this share of the gap, the leaders are begun from the given model too."""
 WELL, ANEW = 0.05, 3
 """Where the best leaves more than this share of the gap, how many of them are begun at the given model once more."""
 HEARD = 3
@@ -30,8 +28,8 @@ ASTRAY, LOST = 0.98, 8
 """A candidate that leaves more than this share of the base's loss has found nothing, or not its way; how many of those
 are begun once more."""
 FURTHER, PAIRS, LEADING = 0.12, 0.25, 5
-"""Shares of the gap, left by one effect, from which a further one is looked for, and from which all pairs of so many
-leaders are."""
+"""Shares of the gap, left by one effect, from which the others are begun otherwise and a further one is looked for, and
+from which all pairs of so many leaders are."""
 
 
 CLOSE, CLOSER = 3, 2.0
@@ -127,9 +125,8 @@ class Selection:
             for r in sorted(found, key=lambda r: r.total):
                 best.setdefault(r.ids, r)
             found += self._anew(list(best.values())[:ANEW])
-            if (least := self._least(found)) > FURTHER:
-                found += self._with_care(trials, found)
-                found += self._afresh() if least > AFRESH else []
+            if self._least(found) > FURTHER:
+                found += self._with_care(trials, found) + self._afresh()
         return found
 
     def _least(self, refits: Sequence[Refit]) -> float:

@@ -97,6 +97,7 @@ def test_a_slow_sheath_is_named_and_added(tmp_path, capsys):
     assert len(conditions) >= 2 and min(conditions) > 0.5  # it carries over to runs left out of the fits
     used, free = (data["evidence"][name]["pressure_lag"] for name in ("used", "parameters"))
     assert 2 <= used <= free == len(lag)  # filling and venting are told from nothing
+    assert data["evidence"]["unseen"]["pressure_lag"] < 0.1
     assert set(data["evidence"]["left"]) == {e["id"] for e in data["effects"]} - set(LAST)
     assert "Cause: pressure_lag" in capsys.readouterr().out
 

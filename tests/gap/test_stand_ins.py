@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
@@ -14,9 +14,10 @@ from ljjax.effect import Effect
 from ljjax.effects.jamming import PressureLag
 from ljjax.fit.run import prepared
 from ljjax.gap.answer import _pointed
+from ljjax.gap.candidates import Trial
 from ljjax.gap.data import span
 from ljjax.gap.judge import Evidence
-from ljjax.gap.search import Study
+from ljjax.gap.search import Refit, Study
 from ljjax.gap.stand_ins import BLOCKS, PLACES, QUICK, STAND_INS, stand_in
 from tests.fit.test_dynamic import guess, logged, robot
 from tests.ljjax.conftest import make_robot
@@ -47,20 +48,32 @@ def study_of(effect: Effect) -> Study:
     return Study(start.model, c.names, STAND_INS, runs, c.pressure, span(runs), start.bounds, start.priors)
 
 
-def leftovers(study: Study, kinds: Sequence[type[Effect]]) -> dict[str, float]:
-    base, floor = study.base(), study.floor(sum(len(m.t) for m in study.motions))
-    return {place: (r.total - floor) / (base.total - floor) for place, r in stand_in(study, base, kinds).items()}
+def leftovers(study: Study, base: Refit, found: Mapping[str, Refit]) -> dict[str, float]:
+    floor = study.floor(sum(len(m.t) for m in study.motions))
+    return {place: (r.total - floor) / (base.total - floor) for place, r in found.items()}
 
 
 def test_the_place_of_a_slow_sheath_is_the_vacuum():
     lag: Any = PressureLag
-    left = leftovers(study_of(lag(fill_s=0.35, vent_s=0.35)), STAND_INS)
+    study = study_of(lag(fill_s=0.35, vent_s=0.35))
+    base = study.base()
+    found = stand_in(study, base, STAND_INS)
+    left = leftovers(study, base, found)
     assert min(left, key=lambda p: left[p]) == "vacuum" and left["vacuum"] < 0.3
     assert set(left) <= set(PLACES.values()) == set(BLOCKS)
+    # what has stopped short goes on, though it says that it is at rest; what is at rest stays
+    trial = found["vacuum"].trial
+    (short,) = study._refit([base.model], [Trial(trial.ids, trial.start)], {}, 1, "one step")
+    resting = dataclasses.replace(short, estimate=dataclasses.replace(short.estimate, converged=True))
+    (further,) = study.polished([resting])
+    (end,) = study.polished([further])
+    assert further.total < 0.5 * short.total and further.total >= end.total > 0.98 * further.total
 
 
 def test_a_body_that_snaps_is_met_by_waves_of_its_own_bend():
-    left = leftovers(study_of(Snapping()), QUICK)
+    study = study_of(Snapping())
+    base = study.base()
+    left = leftovers(study, base, stand_in(study, base, QUICK))
     assert left["body in waves"] < 0.3
 
 
