@@ -14,7 +14,6 @@ from ljjax.effect import Effect
 from ljjax.effects.jamming import PressureLag
 from ljjax.fit.run import prepared
 from ljjax.gap.answer import _pointed
-from ljjax.gap.candidates import Trial
 from ljjax.gap.data import span
 from ljjax.gap.judge import Evidence
 from ljjax.gap.search import Refit, Study
@@ -63,7 +62,7 @@ def test_the_place_of_a_slow_sheath_is_the_vacuum():
     assert set(left) <= set(PLACES.values()) == set(BLOCKS)
     # what has stopped short goes on, though it says that it is at rest; what is at rest stays
     trial = found["vacuum"].trial
-    (short,) = study._refit([base.model], [Trial(trial.ids, trial.start)], {}, 1, "one step")
+    (short,) = study._refit([study._begun(base.model, trial)], [trial], {}, 1, "one step")
     resting = dataclasses.replace(short, estimate=dataclasses.replace(short.estimate, converged=True))
     (further,) = study.polished([resting])
     (end,) = study.polished([further])
