@@ -42,18 +42,22 @@ def cautious(trial: Trial, kinds: Sequence[type[Effect]]) -> Trial:
     )
 
 
-def bold(trial: Trial, kinds: Sequence[type[Effect]]) -> Trial:
-    """The same trial begun with its effects at their usual sizes at least, to the side that it was begun to."""
+def either_side(trial: Trial, kinds: Sequence[type[Effect]]) -> list[Trial]:
+    """The same trial begun with its effects as large as usual, the largest of their sizes by its own scale, and as far
+    to the other side of where they vanish; sizes that have but one side on that, and once if all have."""
     about = {path(k, n): k.fields()[n] for k in kinds for n in k.sizes()}
-
-    def usual(p: str, x: float) -> float:
-        if p not in about:
-            return x
-        low, null, high, scale = (float(about[p][n]) for n in ("low", "null", "high", "scale"))
-        side = -1.0 if x < null and low < null or high <= null else 1.0
-        return null + side * max(abs(x - null), scale)
-
-    return Trial(trial.ids, {p: usual(p, x) for p, x in trial.start.items()})
+    own = {p: (x - about[p]["null"], about[p]["scale"]) for p, x in trial.start.items() if p in about}
+    most = max((abs(x) / scale for x, scale in own.values()), default=0.0)
+    out: list[Trial] = []
+    for turn in (1.0, -1.0):
+        start = dict(trial.start)
+        for p, (x, scale) in own.items():
+            low, null, high = (float(about[p][n]) for n in ("low", "null", "high"))
+            step = turn * (x / most if most > 0 else scale)
+            start[p] = null + (abs(step) if low >= null else -abs(step) if high <= null else step)
+        if all(start != t.start for t in out):
+            out.append(Trial(trial.ids, start))
+    return out
 
 
 def universal(model: Model, kinds: Sequence[type[Effect]]) -> Model:

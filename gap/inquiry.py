@@ -83,7 +83,9 @@ class Inquiry:
         alike = self._alike(best.ids)
         self.verdict = judge.verdict(self.probability, {*best.ids, *(i for group in alike for i in group)})
         listed = self.verdict == "listed_effect"
-        self.chosen, self.equivalent = (study.polished([best])[0], alike) if listed else (self.base, [])
+        if listed and not best.estimate.converged:
+            (best,) = study.polished([best])
+        self.chosen, self.equivalent = (best, alike) if listed else (self.base, [])
 
     def _best(self) -> Refit:
         """What was found; of effects that explain the runs alone, the most probable."""

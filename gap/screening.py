@@ -218,6 +218,36 @@ def waves_in(pieces: Sequence[tuple[np.ndarray, np.ndarray]], count: int = 4) ->
     return sorted(out)
 
 
+RESETS_S = 1 / np.arange(1 / 30, 1.0, 1 / 60)
+"""Times between two settings of a clock that are looked for [s]."""
+
+
+def clock(found: Estimate) -> dict[str, float]:
+    """How the stamps of a clock that is set again and again would drift, by what residuals have of the rate: `drift`
+    1 or −1 for one that falls behind or gets ahead of itself, `reset_s` the time between two settings [s], and `phase`,
+    the share of it that has gone by when a run begins."""
+    w, t = found.windows, found.windows.sample_t
+    rate = np.zeros_like(found.error)
+    for i in np.unique(w.sample_run):
+        mine = np.flatnonzero(w.sample_run == i)
+        if len(mine) > 2:
+            rate[mine] = np.gradient(found.predicted[mine], t[mine], axis=0)
+    score, weight = -np.sum(found.error * rate, axis=1), np.sum(rate**2, axis=1)
+
+    def fitted(*delays: np.ndarray) -> tuple[float, float]:
+        """What delays (N,) beside a constant one take away of the squared residuals, and the share of the last one."""
+        by = np.vstack([np.ones(len(t)), *delays])
+        x = np.linalg.lstsq((by * weight) @ by.T, by @ score, rcond=None)[0]
+        return float(by @ score @ x), float(x[-1])
+
+    turns = 2 * np.pi * t
+    reset = max(RESETS_S, key=lambda s: fitted(np.sin(turns / s), np.cos(turns / s))[0])
+    forms = [(s, phase) for s in reset * np.linspace(0.9, 1.1, 5) for phase in np.arange(0.0, 1.0, 1 / 16)]
+    delays = [fitted((t / s + phase + 0.5) % 1.0 - 0.5) for s, phase in forms]
+    best = max(range(len(forms)), key=lambda k: delays[k][0])
+    return {"drift": float(np.sign(delays[best][1])), "reset_s": float(forms[best][0]), "phase": float(forms[best][1])}
+
+
 def _look(search: Search) -> Asking[Search]:
     yield from search.look(search.problem.coordinates.start)
     return search

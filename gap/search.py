@@ -27,6 +27,8 @@ QUICK = Round(0.01, True, np.inf, 1_000_000, 0.5, 2e-4, onward=True)
 """How candidates are compared: free runs one window after the other, at the longest step that is as good as noise."""
 FIRST, LAST, WHOLE = 4, 5, 8
 """Iterations for all candidates, by derivatives of the base that stay as they were; of the best; and for the answer."""
+EACH = 2
+"""How many trials of the same effects are taken further."""
 AGAIN, FALLING = 3, 0.1
 """How often the best are taken on, and the share of the loss by which they must still fall for another time."""
 TOLD = 2.0
@@ -152,12 +154,13 @@ class Study:
     ) -> list[Refit]:
         """Base and effects of each trial refitted together, all trials side by side, from the model `like`; `steps`
         are first moves of the base's coordinates. A few iterations for all of them, the base's derivatives those of
-        the screen (their own where none is given); more, with derivatives of their own, for the `finish` best and the
-        first `sure` of the list. Trials that fail are left out."""
+        the screen (their own where none is given); more, with derivatives of their own, for the `finish` best, `EACH`
+        of the same effects at most, and the first `sure` of the list. Trials that fail are left out."""
         borrowed = None if screen is None else screen.base_jacobian[..., : len(self.names)]
         begun = [self._begun(like, t) for t in trials]
         first = self._refit(begun, trials, steps or {}, LAST if screen is None else FIRST, stage, borrowed)
-        best = sorted(first, key=lambda r: r.total)[:finish]
+        ordered = sorted(first, key=lambda r: r.total)
+        best = [r for i, r in enumerate(ordered) if sum(r.ids == s.ids for s in ordered[:i]) < EACH][:finish]
         best += [r for r in first if any(r.trial is t for t in trials[:sure]) and all(r is not b for b in best)]
         for _ in range(AGAIN):
             if not best:
@@ -227,8 +230,9 @@ class Study:
         """Every effect that is not in a refit, on top of it."""
         chosen = [f"effects.{i}.{n}" for i in from_.ids for n in self._free(i, from_)]
         names, waves = [*self.names, *chosen], screening.waves(from_.estimate)
+        span = {**self.span, **screening.clock(from_.estimate)}
         asked, said, forms = screening.screen(
-            self._whole(from_.model), names, self.kinds, self.motions, self.span, self.pressure, QUICK, waves
+            self._whole(from_.model), names, self.kinds, self.motions, span, self.pressure, QUICK, waves
         )
         found = together(asked, self._tell("screening"))
         for f in found:

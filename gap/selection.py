@@ -10,7 +10,7 @@ import numpy as np
 
 from ljjax.effect import Effect
 from ljjax.gap import judge, screening
-from ljjax.gap.candidates import Trial, bold, cautious
+from ljjax.gap.candidates import Trial, cautious, either_side
 from ljjax.gap.channels import Measured
 from ljjax.gap.screening import Screen
 from ljjax.gap.search import Refit, Study
@@ -18,8 +18,11 @@ from ljjax.gap.search import Refit, Study
 LEADERS, FEW, SECOND, MOST = 12, 4, 5, 3
 """How many candidates are refitted alone, how many where chance promises as much as they do, how many with those found
 before, and how many are found at most."""
-BOLD = 5
-"""How many leaders of the base's screen, and how many of the given model's, are begun afresh."""
+AFAR = 5
+"""Where the best leaves much, how many leaders of the base's screen, and how many of the given model's, are begun from
+the given model."""
+WIDE, FORMS = 6, 6
+"""How many leaders are wherever there is a gap; in all their forms, if they have no more than that."""
 WELL, ANEW = 0.05, 3
 """Where the best leaves more than this share of the gap, how many of them are begun at the given model once more."""
 HEARD = 3
@@ -30,10 +33,9 @@ are begun once more."""
 FURTHER, PAIRS, LEADING = 0.12, 0.25, 5
 """Shares of the gap, left by one effect, from which the others are begun otherwise and a further one is looked for, and
 from which all pairs of so many leaders are."""
-
-
-CLOSE, CLOSER = 3, 2.0
-"""How many single effects are taken to their end before they are judged, none that leaves so many times the least."""
+CLOSE, CLOSER, OFF = 3, 2.0, 0.6
+"""How many single effects are taken to their end before they are judged, none that leaves so many times the least, nor
+where that is so large a share of the gap that no effect explains it."""
 
 
 @dataclass
@@ -120,13 +122,20 @@ class Selection:
         steps = self._begun(screen, [*first, *more])
         trials = [*steps, *self._heard()]
         found = study.refit(self.base.model, trials, screen, steps, finish=4, sure=3)
-        if self.excess > judge.OPEN * self.floor and self._least(found) > WELL:
+        if self.excess <= judge.OPEN * self.floor:
+            return found
+        screen = study.screen(self.given)
+        ids = [r.ids[0] for r in sorted(found, key=lambda r: r.total)], [i for i, _ in self._ahead(self.screen, WIDE)]
+        begun = list(dict.fromkeys(i for pair in zip(*ids, strict=False) for i in pair))[:WIDE]
+        found += self._around(screen, begun)
+        if self._least(found) > WELL:
             best: dict[tuple[str, ...], Refit] = {}
             for r in sorted(found, key=lambda r: r.total):
                 best.setdefault(r.ids, r)
             found += self._anew(list(best.values())[:ANEW])
             if self._least(found) > FURTHER:
-                found += self._with_care(trials, found) + self._afresh()
+                more = (i for i, _ in (*self._ahead(self.screen, AFAR), *self._ahead(screen, AFAR)) if i not in begun)
+                found += self._around(screen, list(dict.fromkeys(more))) + self._with_care(trials, found)
         return found
 
     def _least(self, refits: Sequence[Refit]) -> float:
@@ -149,13 +158,16 @@ class Selection:
         again = [cautious(t, study.kinds) for t in lost[:LOST]]
         return study.refit(self.base.model, again, self.screen, stage="with care", finish=2)
 
-    def _afresh(self) -> list[Refit]:
-        """Leaders once more, begun from the given model and at their usual sizes: a large effect bends the base's refit
-        so far, and itself acts so little to first order, that it may not find its way from there."""
-        study, screen = self.study, self.study.screen(self.given)
-        ids = [i for i, _ in (*self._ahead(self.screen, BOLD), *self._ahead(screen, BOLD))]
-        trials = [bold(study.trial(screen, screen.best(i))[0], study.kinds) for i in dict.fromkeys(ids)]
-        return study.refit(study.start, trials, None, stage="candidates from the given model", finish=3)
+    def _around(self, screen: Screen, ids: Sequence[str]) -> list[Refit]:
+        """Effects begun from the given model, of which the screen is, in each of their forms and to either side of
+        where they vanish: to first order the way to a large effect is not known, the less where the base has been
+        bent to it."""
+        study, trials = self.study, []
+        for i in ids:
+            forms = [k for k in screen.forms if k[0] == i]
+            for key in forms if len(forms) <= FORMS else [screen.best(i)]:
+                trials += either_side(study.trial(screen, key)[0], study.kinds)
+        return study.refit(study.start, trials, screen, stage="from the given model", finish=6)
 
     def _begun(
         self, screen: Screen, keys: Sequence[tuple[str, int]], onto: Refit | None = None
@@ -255,6 +267,8 @@ class Selection:
             found.joint[tuple(sorted(found.best.ids))] = found.best
             return
         least = self.left(found.best)
+        if least > OFF:
+            return
         near = sorted(found.single.values(), key=self.left)[:CLOSE]
         near = [r for r in near if self.left(r) <= CLOSER * max(least, 0.01)]
         found.single |= {r.ids[0]: r for r in self.study.polished(near, "the best to their end")}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import along, lagged, ringing
+from ljjax.effects.shapes import along, lagged, ringing, sawtooth
 
 BEND_RAD = 0.15
 """Bend of a joint at which what a view from aside and a lens distort is what their parameters say."""
@@ -89,10 +89,21 @@ class SensorFilter(Effect):
 
 
 class SensorDelay(Effect):
-    """The shape is stamped later than it was seen (camera latency, clock offset): y(t − d)."""
+    """The shape is stamped later than it was seen (camera latency, clock offset): y(t − d). Between two settings of its
+    clock the stamps may drift: y(t − d) − d r s ẏ, s the sawtooth from −½ to ½ over the time T, at 0 at −φ T."""
 
     id, block, axes = "sensor_delay", "sensing", ("rate", "time")
     delay_seconds: jax.Array = parameter("s", 0.0, 0.0, 0.4, 0.03)
+    drift: jax.Array = shape("1", 0.0, -2.0, 2.0, (0.0, 1.0), "drift")
+    reset_s: jax.Array = shape("s", 5.0, 0.5, 1e3, (1.0,), "reset_s")
+    phase: jax.Array = shape("1", 0.0, -10.0, 10.0, (1.0,), "phase")
+
+    def start(self, now):
+        return tuple(now.q)
 
     def latency_s(self):
         return self.delay_seconds
+
+    def sense(self, memory, y, now):
+        late = self.delay_seconds * self.drift * sawtooth((now.t + now.h) / self.reset_s + self.phase)
+        return tuple(x - late * (x - before) / now.h for x, before in zip(y, memory, strict=True)), tuple(y)

@@ -14,6 +14,7 @@ from ljjax.effect import Now
 
 Vector = tuple[Array, ...]
 SHORT_S = 1e-6
+STEEP = 0.97
 
 
 def positive(x: Array) -> Array:
@@ -38,6 +39,11 @@ def bounded(x: Array, limit: Array, edge: Array) -> Array:
     some = x > 0
     over = jnp.log(jnp.where(some, x, 1.0 + 0.0 * x) / limit)
     return jnp.where(some, x * jnp.exp(-jnp.logaddexp(0.0 * over, edge * over) / edge), 0.0 * x)
+
+
+def sawtooth(x: Array) -> Array:
+    """From −½ to ½ between x = −½ and ½, and again over each 1; its fall a few hundredths wide."""
+    return jnp.arctan2(STEEP * jnp.sin(2 * jnp.pi * x), 1 + STEEP * jnp.cos(2 * jnp.pi * x)) / jnp.pi
 
 
 def lagged(x: Array, held: Array, tau: Array, h: Array) -> tuple[Array, Array]:
