@@ -49,6 +49,8 @@ SIZE = {
     "thermal_drift": -0.06, "nonuniform_stiffness": 0.6,
 }  # fmt: skip
 """How large an effect is drawn, where its typical size would not be seen."""
+CLOCK = {"drift": 1.0, "reset_s": 5.0, "phase": 0.0}
+"""How a sensor's stamps may drift, where no residuals tell it."""
 
 
 def standard() -> Inputs:
@@ -120,7 +122,8 @@ def screened() -> Screen:
     motions = in_order(case.problem.motions)
     kinds = list(REGISTRY.values())
     c = case.problem.coordinates
-    asked, said, forms = screen(universal(c.like, kinds), c.names, kinds, motions, span(motions), c.pressure, QUICK)
+    like, of = universal(c.like, kinds), {**span(motions), **CLOCK}
+    asked, said, forms = screen(like, c.names, kinds, motions, of, c.pressure, QUICK)
     found = together(asked)
     return gather([f for f in found if not isinstance(f, Exception)], said, forms)
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from ljjax.effects import REGISTRY
-from ljjax.gap.candidates import pilots, sizes
+from ljjax.gap.candidates import Trial, either_side, pilots, sizes
 from ljjax.gap.channels import Channel, Fitted, Measured
-from ljjax.gap.screening import waves
+from ljjax.gap.screening import clock, waves
 
 
 def residuals(true: float, noise: float = 0.002) -> Any:
@@ -42,6 +42,33 @@ def test_a_ripple_is_found_among_waves_of_any_length(true):
     assert len(forms) == len(found) * np.prod(others)
     guessed = pilots(kind, span)
     assert {form["waves"] for form in guessed} == set(kind.fields()["waves"]["pilots"])
+
+
+@pytest.mark.parametrize(("way", "reset", "phase"), [(1.0, 3.7, 0.3), (-1.0, 7.0, 0.8)])
+def test_a_clock_that_is_set_now_and_then_is_heard_in_what_goes_with_the_rate(way, reset, phase):
+    rng, t = np.random.default_rng(3), np.linspace(0.0, 15.0, 1500)
+    predicted = np.concatenate([0.1 * np.sin(1.7 * t) + 0.05 * np.sin(3.1 * t + k) for k in (0.0, 1.0)])
+    rate = np.concatenate([0.17 * np.cos(1.7 * t) + 0.155 * np.cos(3.1 * t + k) for k in (0.0, 1.0)])
+    late = 0.02 + way * 0.02 * (np.tile((t / reset + phase + 0.5) % 1.0, 2) - 0.5)
+    error = 0.002 * rng.standard_normal(len(rate)) - late * rate
+    windows = SimpleNamespace(sample_t=np.tile(t, 2), sample_run=np.repeat([0, 1], len(t)))
+    found: Any = SimpleNamespace(windows=windows, predicted=predicted[:, None], error=error[:, None])
+    heard = clock(found)
+    assert heard["drift"] == way
+    assert heard["reset_s"] == pytest.approx(reset, rel=0.05)
+    assert abs((heard["phase"] - phase + 0.5) % 1.0 - 0.5) < 0.1
+
+
+def test_a_search_is_begun_to_either_side_of_nothing_where_there_are_two():
+    """Sizes of one sign alone stay on their side, forms as they are, and the largest is as large as usual."""
+    bias, friction = REGISTRY["pressure_bias"], REGISTRY["tendon_friction"]
+    start = {"effects.pressure_bias.offset_kpa": -7.0, "effects.pressure_bias.vented_kpa": 0.5}
+    one, other = either_side(Trial(("pressure_bias",), start), [bias, friction])
+    scale = bias.fields()["offset_kpa"]["scale"]
+    assert [t.start["effects.pressure_bias.offset_kpa"] for t in (one, other)] == [-scale, scale]
+    assert one.start["effects.pressure_bias.vented_kpa"] == other.start["effects.pressure_bias.vented_kpa"] == 0.5
+    (alone,) = either_side(Trial(("tendon_friction",), {"effects.tendon_friction.mu": 0.0}), [bias, friction])
+    assert alone.start["effects.tendon_friction.mu"] == friction.fields()["mu"]["scale"]
 
 
 def test_only_modes_that_the_log_can_show_are_on_trial():
