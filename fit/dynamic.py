@@ -239,7 +239,7 @@ class Search:
             a, g, (own, cross, pull) = self._normal(point, scale)
             rms = float(np.sqrt(np.mean((self.windows.y - point.answer.predicted) ** 2)))
             history.append((which, self.asked, rms, damping, point.x.copy()))
-            limits = self._limits(point.x)
+            limits = self.problem.limits(point.x)
             rejected = 0
             while True:
                 step = self._step(a, g, damping, limits)
@@ -270,16 +270,6 @@ class Search:
                 break
         self.point, self.converged = point, converged
         return point.x
-
-    def _limits(self, x: np.ndarray) -> list[tuple[np.ndarray, float, float]]:
-        """Bounded parameters at x: their slope (k,), and how far they may fall and rise."""
-        c = self.problem.coordinates
-        bounds = {**c.bounds, **self.problem.bounds}
-        if not bounds:
-            return []
-        value, slope = c.physical(x), c.jacobian(x)
-        index = {name: c.names.index(name) for name in bounds if name in c.names}
-        return [(slope[i], *(limit - value[i] for limit in bounds[name])) for name, i in index.items()]
 
     def _step(self, a: np.ndarray, g: np.ndarray, damping: float, limits: list) -> np.ndarray:
         """The damped step, least on the bounds it would cross; coordinates that would go further than `FAR` go that

@@ -54,6 +54,16 @@ class Problem:
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
+    def limits(self, x: np.ndarray) -> list[tuple[np.ndarray, float, float]]:
+        """Bounded parameters at x (k,): their slope (k,), and how far they may fall and rise."""
+        c = self.coordinates
+        bounds = {**c.bounds, **self.bounds}
+        if not bounds:
+            return []
+        value, slope = c.physical(x), c.jacobian(x)
+        index = {name: c.names.index(name) for name in bounds if name in c.names}
+        return [(slope[i], *(limit - value[i] for limit in bounds[name])) for name, i in index.items()]
+
 
 @dataclass(frozen=True, eq=False)
 class Estimate:

@@ -151,15 +151,17 @@ class Study:
         stage: str = "candidates",
         finish: int = 1,
         sure: int = 0,
+        within: float = np.inf,
     ) -> list[Refit]:
         """Base and effects of each trial refitted together, all trials side by side, from the model `like`; `steps`
         are first moves of the base's coordinates. A few iterations for all of them, the base's derivatives those of
         the screen (their own where none is given); more, with derivatives of their own, for the `finish` best, `EACH`
-        of the same effects at most, and the first `sure` of the list. Trials that fail are left out."""
+        of the same effects at most and none of a loss beyond `within`, and the first `sure` of the list. Trials that
+        fail are left out."""
         borrowed = None if screen is None else screen.base_jacobian[..., : len(self.names)]
         begun = [self._begun(like, t) for t in trials]
         first = self._refit(begun, trials, steps or {}, LAST if screen is None else FIRST, stage, borrowed)
-        ordered = sorted(first, key=lambda r: r.total)
+        ordered = sorted((r for r in first if r.total <= within), key=lambda r: r.total)
         best = [r for i, r in enumerate(ordered) if sum(r.ids == s.ids for s in ordered[:i]) < EACH][:finish]
         best += [r for r in first if any(r.trial is t for t in trials[:sure]) and all(r is not b for b in best)]
         for _ in range(AGAIN):

@@ -21,8 +21,9 @@ before, and how many are found at most."""
 AFAR = 5
 """Where the best leaves much, how many leaders of the base's screen, and how many of the given model's, are begun from
 the given model."""
-WIDE, FORMS = 6, 6
-"""How many leaders are wherever there is a gap; in all their forms, if they have no more than that."""
+WIDE, FORMS, NEAR, NEARER = 6, 6, 4.0, 0.3
+"""How many leaders are wherever there is a gap; in all their forms, if they have no more than that; and taken further
+where they come within so many times the least loss, or leave no more than this share of the gap."""
 WELL, ANEW = 0.05, 3
 """Where the best leaves more than this share of the gap, how many of them are begun at the given model once more."""
 HEARD = 3
@@ -127,7 +128,8 @@ class Selection:
         screen = study.screen(self.given)
         ids = [r.ids[0] for r in sorted(found, key=lambda r: r.total)], [i for i, _ in self._ahead(self.screen, WIDE)]
         begun = list(dict.fromkeys(i for pair in zip(*ids, strict=False) for i in pair))[:WIDE]
-        found += self._around(screen, begun)
+        least = min((r.total for r in found), default=np.inf)
+        found += self._around(screen, begun, max(NEAR * least, self.floor + NEARER * self.excess))
         if self._least(found) > WELL:
             best: dict[tuple[str, ...], Refit] = {}
             for r in sorted(found, key=lambda r: r.total):
@@ -158,7 +160,7 @@ class Selection:
         again = [cautious(t, study.kinds) for t in lost[:LOST]]
         return study.refit(self.base.model, again, self.screen, stage="with care", finish=2)
 
-    def _around(self, screen: Screen, ids: Sequence[str]) -> list[Refit]:
+    def _around(self, screen: Screen, ids: Sequence[str], within: float = np.inf) -> list[Refit]:
         """Effects begun from the given model, of which the screen is, in each of their forms and to either side of
         where they vanish: to first order the way to a large effect is not known, the less where the base has been
         bent to it."""
@@ -167,7 +169,7 @@ class Selection:
             forms = [k for k in screen.forms if k[0] == i]
             for key in forms if len(forms) <= FORMS else [screen.best(i)]:
                 trials += either_side(study.trial(screen, key)[0], study.kinds)
-        return study.refit(study.start, trials, screen, stage="from the given model", finish=6)
+        return study.refit(study.start, trials, screen, stage="from the given model", finish=6, within=within)
 
     def _begun(
         self, screen: Screen, keys: Sequence[tuple[str, int]], onto: Refit | None = None
