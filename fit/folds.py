@@ -11,8 +11,8 @@ from ljjax.fit.dynamic import FAR
 from ljjax.fit.problem import Estimate
 from ljjax.fit.windows import Motion
 
-HARDLY = 1e-9
-"""How far a parameter on its bound still moves beyond it, in units of its reach."""
+ON_BOUND = 1e-6
+"""How near its bound, in units of its reach, a parameter is on it."""
 STEADY_KPA = 3.0
 """Runs whose vacuum moves by less are at one pressure, and at the same one where theirs are closer."""
 
@@ -21,20 +21,20 @@ def left_out(estimate: Estimate, fold: np.ndarray) -> np.ndarray:
     """(N, c) measured − predicted [rad] of each sample where its whole fold is left out of the fit.
 
     Parameters move no further than first order reaches (`FAR`), however little the other folds say of them, nor beyond
-    their bounds.
+    their bounds; those on a bound stay there, as first order asks of an optimum under constraints.
 
     Args:
         fold: (R,) which fold each run is in.
     """
     e, weight = estimate, estimate.weight / estimate.sigma**2
     reach = FAR * e.problem.coordinates.spread
-    box = -np.ones(len(e.x)), np.ones(len(e.x))
+    box = -np.ones(len(e.x)), np.ones(len(e.x))  # of what is taken back: the parameters move the other way
     for slope, *ends in e.problem.limits(e.x):
         if np.count_nonzero(slope) == 1:
             k = int(np.argmax(slope != 0))
-            low, high = sorted(end / (slope[k] * reach[k]) for end in ends)
-            box[0][k], box[1][k] = max(low, -1.0), min(high, 1.0)
-    box = np.minimum(box[0], -HARDLY), np.maximum(box[1], HARDLY)
+            low, high = sorted(-end / (slope[k] * reach[k]) for end in ends)
+            on = min(-low, high) < ON_BOUND
+            box[0][k], box[1][k] = (-ON_BOUND, ON_BOUND) if on else (max(low, -1.0), min(high, 1.0))
     whole = np.linalg.pinv(e.white, rcond=1e-14, hermitian=True)
     out = np.empty_like(e.error)
     for k in np.unique(fold):

@@ -168,6 +168,25 @@ def test_leaving_a_run_out_to_first_order_is_a_fit_without_it(found):
     assert np.std(foretold - refitted) < 0.3 * np.std(whole - refitted)
 
 
+@pytest.mark.parametrize(("low", "follows"), [(-1.0, 1.0), (-0.03, 0.3), (0.0, 0.0)])
+def test_a_parameter_on_its_bound_stays_there_where_a_run_is_left_out(low, follows):
+    """A slope of 0 that two runs pull to −0.1 and 0.1: without the second it would fall to −0.1, if it may, and what
+    rests on its bound does not leave it."""
+    x = np.linspace(-1.0, 1.0, 50)
+    error = np.concatenate([-0.1 * x, 0.1 * x])[:, None]
+    slope = np.tile(x, 2)[:, None, None]
+    limits = [(np.ones(1), low, 1.0)]
+    e: Any = SimpleNamespace(
+        problem=SimpleNamespace(coordinates=SimpleNamespace(spread=np.ones(1)), limits=lambda _: limits),
+        windows=SimpleNamespace(sample_run=np.repeat([0, 1], 50)),
+        x=np.zeros(1), sigma=np.full(1, 1e-3), weight=np.ones_like(error), jacobian=slope, error=error,
+        white=np.array([[1e-6 / np.sum(slope**2)]]),
+    )  # fmt: skip
+    first, second = np.split(left_out(e, np.arange(2))[:, 0], 2)
+    np.testing.assert_allclose(first, -(0.1 + 0.1 * (low < 0)) * x, atol=1e-3)
+    np.testing.assert_allclose(second, (0.1 + 0.1 * follows) * x, atol=1e-3)
+
+
 def test_conditions_are_pressures_where_runs_keep_to_one():
     def at(*kpa: float) -> Any:
         return SimpleNamespace(vacuum=np.array(kpa))
