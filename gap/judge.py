@@ -40,7 +40,8 @@ NONE = 8.0
 """Odds before looking that no effect is there: a gain that chance makes once in a hundred leaves them even."""
 MATTERS, OPEN = 0.02, 0.21
 """A gap below this share of the noise's variance is none; above the second one, a tenth in RMS, it is one that chance
-does not make, whether or not a candidate explains any of it."""
+does not make, whether or not a candidate explains any of it. In between the noise's variance itself is in doubt: what
+counts there is what the best candidate takes away."""
 ASIDE = 0.03
 """Of no effect's probability, the share of the less likely of `no_gap` and `parameters_only`; chosen by hand."""
 TERMS = 8
@@ -86,7 +87,8 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
     p = min(max(e.chance, 1e-12), 1 / np.e)
     odds = -NONE * np.e * p * np.log(p)  # the least Bayes factor for chance that p allows (Sellke, Bayarri and Berger)
     none = odds / (1 + odds) if e.chance < 1 / np.e else 0.95
-    small = max(e.excess, 0.0) < MATTERS
+    told = e.excess if e.excess > OPEN else e.excess * (1 - min(e.left.values(), default=1.0))
+    small = max(told, 0.0) < MATTERS
     none = max(none, 0.97) if small else none
     if e.excess > OPEN:
         out["unlisted_effect"], none = none, 0.0

@@ -29,6 +29,13 @@ def test_a_gap_that_no_candidate_explains_is_not_called_none():
         assert p["no_gap"] > 0 or answer == "unlisted_effect"  # nothing possible is given no chance at all
 
 
+@pytest.mark.parametrize(("left", "effect"), [(0.92, False), (0.2, True)])
+def test_where_the_noise_itself_is_in_doubt_what_a_candidate_takes_away_must_matter(left, effect):
+    """A gap of a twentieth of the noise's variance may be the noise, however seldom chance takes a tenth of it away."""
+    p = judge.probabilities(evidence({"pressure_leak": left}, excess=0.055, chance=1.8e-4))
+    assert bool(p["parameters_only"] < 0.1) is effect
+
+
 def test_of_effects_that_leave_as_much_the_simpler_one_is_ahead():
     p = judge.probabilities(evidence({"plain": 0.02, "rich": 0.02}, sizes={"plain": 1, "rich": 3}))
     assert p["plain"] > p["rich"] > 0.2
