@@ -195,7 +195,7 @@ class NonuniformStiffness(Effect):
     """Segments differ: α₂,ᵢ = α₂ + 2 dᵢ ((1 − s) α₂(0) + s (α₂ − α₂(0))), d by modes along the body (Legendre's P₁ …
     P₅; their mean is in α₂): in the backbone (s = 0), the layers (s = 1), or both alike, α₂ (1 + dᵢ)."""
 
-    id, block, axes, modes_of_theta = "nonuniform_stiffness", "structure", ("segment", "angle"), 2
+    id, block, axes, modes_of_theta = "nonuniform_stiffness", "structure", ("segment", "angle"), 5
     mode1: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
     mode2: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
     mode3: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
