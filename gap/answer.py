@@ -130,9 +130,13 @@ def _where(inquiry: Inquiry, chosen: Refit) -> list[Region]:
         for i in chosen.ids:
             kind = effects.REGISTRY[i]
             alone = inquiry.found.single.get(i)
-            other = (alone if alone is not None and len(chosen.ids) > 1 else chosen).estimate.predicted
-            axes = [a for a in kind.axes if channel != "theta" or a != "segment"] or ["everywhere"]
-            contributions.append((kind.block, axes, other - base.estimate.predicted))
+            other = alone if alone is not None and len(chosen.ids) > 1 else chosen
+            joints, axes = None, list(kind.axes)
+            if channel == "theta" and "segment" in axes:
+                joints = _in_joints(inquiry, other)
+                axes = axes if joints is not None else [a for a in axes if a != "segment"]
+            part = other.estimate.predicted - base.estimate.predicted
+            contributions.append(where.Contribution(kind.block, axes, part, joints))
         return where.places(base.estimate, channel, contributions)
     if inquiry.verdict == "unlisted_effect":
         gap = base.estimate.error
@@ -140,8 +144,20 @@ def _where(inquiry: Inquiry, chosen: Refit) -> list[Region]:
         place = min(flexible, key=lambda p: flexible[p], default="")
         main = judge.main_of(inquiry.probability, list(inquiry.evidence.left))
         block = BLOCKS[place] if place and flexible[place] < SEES else effects.REGISTRY[main].block
-        return where.places(base.estimate, channel, [(block, where.loudest(base.estimate, gap)[:2], gap)])
+        unknown = where.Contribution(block, where.loudest(base.estimate, gap)[:2], gap)
+        return where.places(base.estimate, channel, [unknown])
     return []
+
+
+def _in_joints(inquiry: Inquiry, refit: Refit) -> np.ndarray | None:
+    """By how much a refit has every joint elsewhere than the base model (M, n), where their mean alone is measured;
+    None where that cannot be simulated."""
+    study, base = inquiry.setting.study, inquiry.base
+    n = base.model.n
+    unmeasured = [replace(m, y=np.zeros((len(m.t), n)), noise=np.repeat(m.noise, n)) for m in inquiry.setting.train]
+    before, after = study.predict([base, refit], unmeasured)
+    moved = after.predicted - before.predicted
+    return moved if np.isfinite(moved).all() else None
 
 
 def _rivals(inquiry: Inquiry, chosen: Refit) -> dict[str, Refit]:

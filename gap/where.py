@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -99,19 +100,31 @@ def concentration(place: np.ndarray, gap: np.ndarray) -> float:
     return float(np.sum(count * (mean - squared.mean()) ** 2) / (len(squared) * squared.var()))
 
 
-def places(
-    found: Estimate, channel: str, contributions: Sequence[tuple[str, Sequence[str], np.ndarray]]
-) -> list[Region]:
-    """Regions of what effects contribute (N, c): (block, axes, contribution), the largest share first;
-    everywhere, which holds all, only where no axis shows it more plainly."""
+class Contribution(NamedTuple):
+    """What an effect changes: its block, its axes, the plainest first, its part `c` (N, c) of what is measured, and
+    `joints` (M, n), of every joint's angle, where those say more of the segments than what is measured."""
+
+    block: str
+    axes: Sequence[str]
+    c: np.ndarray
+    joints: np.ndarray | None = None
+
+
+def places(found: Estimate, channel: str, contributions: Sequence[Contribution]) -> list[Region]:
+    """Regions of what effects contribute, the largest share first; everywhere, which holds all, only where no axis
+    shows it more plainly, and any other axis only where part of it holds less than the plainer one's range."""
     along = coordinates(found)
-    total = sum(float((c**2).sum()) for _, _, c in contributions) or 1.0
+    total = sum(float((x.c**2).sum()) for x in contributions) or 1.0
     out = []
-    for block, axes, c in contributions:
-        share = float((c**2).sum()) / total
+    for block, axes, c, joints in contributions:
+        share, least = float((c**2).sum()) / total, np.inf
         shown = axes if axes[0] == "everywhere" else [a for a in axes if a != "everywhere"]
         for axis, holds in zip(shown, HOLDS, strict=False):
-            out.append(region(block, channel, axis, along.get(axis), c, share, holds))
+            seen = c if axis != "segment" or joints is None else joints
+            here = region(block, channel, axis, along.get(axis), seen, share, holds)
+            if here.share < least:
+                out.append(here)
+                least = here.share
     return sorted(out, key=lambda r: -r.share)
 
 

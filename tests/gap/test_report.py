@@ -249,8 +249,29 @@ def test_everywhere_is_the_place_only_of_what_no_axis_shows_more_plainly(monkeyp
     found = where.places(
         None,  # type: ignore[arg-type]
         "theta",
-        [("actuation", ("load", "everywhere", "angle"), loud), ("sensing", ("everywhere", "angle"), offset)],
+        [
+            where.Contribution("actuation", ("load", "everywhere", "angle"), loud),
+            where.Contribution("sensing", ("everywhere", "angle"), offset),
+        ],
     )
     assert {(r.block, r.axis) for r in found[:2]} == {("sensing", "everywhere"), ("actuation", "load")}
     assert ("actuation", "everywhere") not in {(r.block, r.axis) for r in found}
     assert next(r for r in found if r.axis == "load").range[0] == pytest.approx(8.0, abs=0.5)
+
+
+def test_a_lesser_axis_is_no_place_where_it_takes_all_of_it_to_hold_as_much(monkeypatch):
+    """Loud at high vacuum, whichever way the robot moves: from −1 to 1 the direction holds all and says nothing."""
+    vacuum, way = np.linspace(0.0, 40.0, 400), np.tile([-1.0, 1.0], 200)
+    monkeypatch.setattr(where, "coordinates", lambda found: {"pressure": vacuum, "direction": way, "angle": way})
+    part = where.Contribution("jamming", ("pressure", "direction"), np.where(vacuum > 20, 1.0, 0.1)[:, None])
+    found = where.places(None, "theta", [part])  # type: ignore[arg-type]
+    assert [r.axis for r in found] == ["pressure"]
+
+
+def test_segments_are_told_by_the_joints_where_their_mean_alone_is_measured(monkeypatch):
+    angle = np.linspace(0.0, 0.3, 200)
+    monkeypatch.setattr(where, "coordinates", lambda found: {"angle": angle})
+    joints = np.outer(angle, [0.0, 0.1, -1.0, 1.0, 0.0, 0.0])
+    part = where.Contribution("structure", ("segment", "angle"), 0.1 * angle[:, None], joints)
+    first = where.places(None, "theta", [part])[0]  # type: ignore[arg-type]
+    assert (first.axis, first.range) == ("segment", (3.0, 4.0))
