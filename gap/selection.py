@@ -138,6 +138,8 @@ class Selection:
             if self._least(found) > FURTHER:
                 more = (i for i, _ in (*self._ahead(self.screen, AFAR), *self._ahead(screen, AFAR)) if i not in begun)
                 found += self._around(screen, list(dict.fromkeys(more))) + self._with_care(trials, found)
+                if self._least(found) > FURTHER:  # nothing explains it: then of those too that promise nothing
+                    found += self._around(screen, [i for i in screen.ids if all(i not in r.ids for r in found)])
         return found
 
     def _least(self, refits: Sequence[Refit]) -> float:

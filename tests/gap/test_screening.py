@@ -12,7 +12,9 @@ import pytest
 from ljjax.effects import REGISTRY
 from ljjax.gap.candidates import Trial, either_side, pilots, sizes
 from ljjax.gap.channels import Channel, Fitted, Measured
-from ljjax.gap.screening import clock, waves
+from ljjax.gap.screening import Column, Screen, clock, waves
+from ljjax.gap.search import Study
+from ljjax.gap.selection import Selection
 
 
 def residuals(true: float, noise: float = 0.002) -> Any:
@@ -177,3 +179,40 @@ def test_what_a_measured_tension_does_show_hides_nothing_that_it_does_not(real):
     both = [Fitted(gain(error=0.02), ["error"], known), Fitted(lag(tau_s=0.2), ["tau_s"], known)]
     assert tension.joined(0.05, both[1:]) == pytest.approx(0.05)
     assert tension.joined(0.05, both) == pytest.approx(0.05 if real else 0.35)
+
+
+def test_no_gap_is_unexplained_before_every_effect_has_been_tried():
+    """Of all effects the one that explains the runs is that of which the derivative promises least."""
+    kinds, cause = list(REGISTRY.values()), "tendon_slack"
+    keys = {(k.id, 0): float(k.id != cause) * (2 + i) for i, k in enumerate(kinds)}
+    columns = [Column(k.id, 0, next(iter(k.sizes())), -1.0, 1.0, 1.0) for k in kinds]
+    steps = {(c.id, 0): {c.name: 0.1} for c in columns}
+    none: Any = np.zeros((0, 0))
+    forms: dict[tuple[str, int], dict[str, float]] = {k: {} for k in keys}
+    still = {k: np.zeros(0) for k in keys}
+    seen = Screen(columns, forms, none, none, none, keys, keys, steps, still, none)
+
+    def refitted(trial: Trial, explains: str) -> Any:
+        total = 101.0 if trial.ids == (explains,) else 900.0
+        return SimpleNamespace(trial=trial, ids=trial.ids, total=total, free_effects=dict(trial.start))
+
+    def tried(explains: str) -> list[str]:
+        class Told(Study):
+            def screen(self, from_):
+                return seen
+
+            def refit(self, like, trials, screen, steps=None, stage="", finish=1, sure=0, within=np.inf):
+                return [refitted(t, explains) for t in trials]
+
+        any_: Any = None
+        selection: Any = object.__new__(Selection)
+        selection.study = Told(any_, (), kinds, (), 0.0, {})
+        selection.screen, selection.base = seen, SimpleNamespace(model=None, total=1000.0)
+        selection.given, selection.measured = selection.base, Measured([])
+        selection.floor, selection.excess = 100.0, 900.0
+        selection._promising = lambda: True
+        return [r.ids[0] for r in selection._leaders()]
+
+    assert set(tried(cause)) == set(REGISTRY)
+    first = max(keys, key=lambda k: keys[k])[0]
+    assert cause not in tried(first)  # what explains the runs at once leaves the rest untried
