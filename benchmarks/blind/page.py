@@ -31,6 +31,9 @@ def write(found: Mapping[str, Any], command: str, docs: Path) -> None:
     """The page, its confusion matrix and its reliability diagram into the folder `docs`."""
     lines = [HEAD.format(count=len(found["cases"]), command=command)]
     lines += _table(("goal", "asked", "reached", "95 %", "cases", ""), [_goal(r) for r in found["rows"]])
+    head = ("kind (see [beside the code](../benchmarks/blind/README.md))", "cases", "first answer right")
+    kinds = [(kind, str(k["cases"]), f"{k['top_right']:.3g}") for kind, k in found["by_kind"].items() if k["cases"]]
+    lines += _table(head, kinds)
     c = found["calibration"]
     if c["bins"]:
         lines.append(

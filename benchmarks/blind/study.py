@@ -96,7 +96,7 @@ def replayed(case: Case, folder: Path) -> list[float] | None:
 
 def timed(case: Case, folder: Path) -> dict[str, float]:
     """Seconds of `ljjax fit` and of `ljjax gap` on one case's logs, one after the other, with nothing compiled yet."""
-    kept = folder / "timing.json"
+    kept = folder / "timing" / f"{case.case_id}.json"
     if kept.exists():
         return json.loads(kept.read_text(encoding="utf-8"))
     took = {}
@@ -112,6 +112,7 @@ def timed(case: Case, folder: Path) -> dict[str, float]:
                 raise RuntimeError(f"ljjax {' '.join(line)}: exit code {done.returncode}: {done.stderr.strip()}")
             took[f"{name}_s"] = time.perf_counter() - begin
     took["ratio"] = took["gap_s"] / took["fit_s"]
+    kept.parent.mkdir(exist_ok=True)
     kept.write_text(json.dumps(took), encoding="utf-8")
     return took
 
@@ -133,12 +134,14 @@ def study(chosen: Sequence[Case], folder: Path, jobs: int, timing: bool = True) 
             said = "failed" if row["failed"] else f"{row['verdict']} {', '.join(row['selected'])}"
             bar.print(f"{len(rows)}/{len(chosen)} {row['case']}: {said}", markup=False)
     rows.sort(key=lambda r: r["case"])
-    took = None
-    if timing and (some := [c for c in chosen if c.kind == "effects"]):
-        try:
-            took = timed(some[0], folder)
-        except RuntimeError as error:
-            bar.print(f"not timed: {error}", markup=False)
+    took = {}
+    # A gap that no effect explains takes longest: every effect is refitted before that is said.
+    for case in [next((c for c in chosen if c.kind == kind), None) for kind in ("effects", "unlisted")]:
+        if timing and case:
+            try:
+                took[case.case_id] = timed(case, folder)
+            except RuntimeError as error:
+                bar.print(f"{case.case_id} not timed: {error}", markup=False)
     return judge.scoreboard(rows, took)
 
 

@@ -79,7 +79,8 @@ def test_the_scoreboard_counts_and_the_page_shows_failures(tmp_path):
         judge.judge(label("effects", "base_tilt", gap=1.0), answer("contact", "contact"), None),  # too weak to count
         judge.judge(label("parameters", gap=0.0), answer("contact", "contact"), None),
     ]
-    found = judge.scoreboard(rows, {"ratio": 7.0, "fit_s": 1.0, "gap_s": 7.0})
+    quick, slow = {"ratio": 7.0, "fit_s": 1.0, "gap_s": 7.0}, {"ratio": 16.0, "fit_s": 1.0, "gap_s": 16.0}
+    found = judge.scoreboard(rows, {"case-000": quick})
     by_name = {r["name"]: r for r in found["rows"]}
     assert (
         by_name["true cause ranked first"] | {"value": 0.5, "met": False, "cases": 2}
@@ -87,6 +88,8 @@ def test_the_scoreboard_counts_and_the_page_shows_failures(tmp_path):
     )
     assert by_name["effect claimed where there is none"]["value"] == 1.0
     assert by_name["time of the diagnosis over that of ljjax fit"]["met"]
+    longest = judge.scoreboard(rows, {"case-000": slow, "case-001": quick})["rows"][-1]
+    assert (longest["value"], longest["met"], longest["cases"]) == (16.0, False, 2)
     assert found["calibration"]["ece"] == pytest.approx(0.9 - 1 / 3)
     # three answers of 0.9 in one bin: the mean of |k/3 - 0.9| over the binomial k of true probabilities
     chance = sum(w * abs(k / 3 - 0.9) for k, w in enumerate((0.001, 0.027, 0.243, 0.729)))
@@ -94,6 +97,7 @@ def test_the_scoreboard_counts_and_the_page_shows_failures(tmp_path):
     page.write(found, "make blind", tmp_path)
     text = (tmp_path / "blind.md").read_text()
     assert "| true cause ranked first | ≥ 0.90 | 0.5 | 0.09 – 0.91 | 2 | **missed** |" in text
+    assert "| effects | 2 | 0.5 |" in text and "| parameters | 1 | 0 |" in text
     assert text.count("| **no** |") == 3
     assert (tmp_path / "blind_confusion.png").exists() and (tmp_path / "blind_reliability.png").exists()
 
