@@ -161,9 +161,12 @@ class Study:
         borrowed = None if screen is None else screen.base_jacobian[..., : len(self.names)]
         begun = [self._begun(like, t) for t in trials]
         first = self._refit(begun, trials, steps or {}, LAST if screen is None else FIRST, stage, borrowed)
-        ordered = sorted((r for r in first if r.total <= within), key=lambda r: r.total)
-        best = [r for i, r in enumerate(ordered) if sum(r.ids == s.ids for s in ordered[:i]) < EACH][:finish]
+        best = _best([r for r in first if r.total <= within], finish)
         best += [r for r in first if any(r.trial is t for t in trials[:sure]) and all(r is not b for b in best)]
+        return self._further(first, best, stage)
+
+    def _further(self, first: list[Refit], best: list[Refit], stage: str) -> list[Refit]:
+        """Those of `first` that are the best taken further, as often as it helps."""
         for _ in range(AGAIN):
             if not best:
                 break
@@ -173,6 +176,16 @@ class Study:
             first = [min((r, better.get(id(r.trial), r)), key=lambda x: x.total) for r in first]
             best = [r for r in again if before[id(r.trial)] - r.total > FALLING * before[id(r.trial)]]
         return first
+
+    def of(self, runs: Sequence[int]) -> Study:
+        """The study of some of its runs, residuals in the same unit."""
+        return dataclasses.replace(self, motions=[self.motions[i] for i in runs])
+
+    def taken_over(self, refits: Sequence[Refit], stage: str, finish: int, further: int) -> list[Refit]:
+        """Of refits to some of the runs, the `finish` best refitted to all of them, and the best of these further."""
+        best = _best(refits, finish)
+        first = self._refit([r.model for r in best], [r.trial for r in best], {}, LAST, stage)
+        return self._further(first, _best(first, further), stage)
 
     def polished(self, refits: Sequence[Refit], stage: str = "the answer") -> list[Refit]:
         """Refits taken to their end, side by side, the search begun anew at each: one that had crept to rest by ever
@@ -315,6 +328,12 @@ def _seen(search: Search, settle: bool, fitted: Estimate) -> Asking[Estimate]:
         jacobian=np.zeros((*point.answer.predicted.shape, 0)),
         offset=point.offset,
     )
+
+
+def _best(refits: Sequence[Refit], count: int) -> list[Refit]:
+    """The best of them, `EACH` of the same effects at most."""
+    ordered = sorted(refits, key=lambda r: r.total)
+    return [r for i, r in enumerate(ordered) if sum(r.ids == s.ids for s in ordered[:i]) < EACH][:count]
 
 
 def _inside(values: Mapping[str, float], within: Mapping[str, tuple[float, float]]) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,10 @@ from ljjax.gap.search import Refit, Study
 LEADERS, FEW, SECOND, MOST = 12, 4, 5, 3
 """How many candidates are refitted alone, how many where chance promises as much as they do, how many with those found
 before, and how many are found at most."""
-AFAR = 5
-"""Where the best leaves much, how many leaders of the base's screen, and how many of the given model's, are begun from
-the given model."""
+TELLING, NOTABLE = 2, 0.9
+"""On how many runs, those that show most of the gap, the effects not begun from the given model yet are begun there,
+where no other explains it; and the share, of what the best so far leaves there, that one worth going on with leaves at
+most."""
 WIDE, FORMS, NEAR, NEARER = 6, 6, 4.0, 0.3
 """How many leaders are wherever there is a gap; in all their forms, if they have no more than that; and taken further
 where they come within so many times the least loss, or leave no more than this share of the gap."""
@@ -84,6 +85,7 @@ class Selection:
         self.study, self.base, self.given = study, base, given
         self.screen, self.measured, self.seed = screen, measured, seed
         self._joined: dict[Refit, float] = {}
+        self._from_given: Screen | None = None
         self.floor = study.floor(sum(len(m.t) for m in study.motions))
         self.excess = base.total - self.floor
         self.found = self._forward(self._leaders())
@@ -125,7 +127,7 @@ class Selection:
         found = study.refit(self.base.model, trials, screen, steps, finish=4, sure=3)
         if self.excess <= judge.OPEN * self.floor:
             return found
-        screen = study.screen(self.given)
+        screen = self._from_given = study.screen(self.given)
         ids = [r.ids[0] for r in sorted(found, key=lambda r: r.total)], [i for i, _ in self._ahead(self.screen, WIDE)]
         begun = list(dict.fromkeys(i for pair in zip(*ids, strict=False) for i in pair))[:WIDE]
         least = min((r.total for r in found), default=np.inf)
@@ -136,10 +138,9 @@ class Selection:
                 best.setdefault(r.ids, r)
             found += self._anew(list(best.values())[:ANEW])
             if self._least(found) > FURTHER:
-                more = (i for i, _ in (*self._ahead(self.screen, AFAR), *self._ahead(screen, AFAR)) if i not in begun)
-                found += self._around(screen, list(dict.fromkeys(more))) + self._with_care(trials, found)
+                found += self._with_care(trials, found)
                 if self._least(found) > FURTHER:  # nothing explains it: then of those too that promise nothing
-                    found += self._around(screen, [i for i in screen.ids if all(i not in r.ids for r in found)])
+                    found += self._untried(screen, [i for i in screen.ids if i not in begun], found)
         return found
 
     def _least(self, refits: Sequence[Refit]) -> float:
@@ -162,15 +163,29 @@ class Selection:
         again = [cautious(t, study.kinds) for t in lost[:LOST]]
         return study.refit(self.base.model, again, self.screen, stage="with care", finish=2)
 
+    def _untried(self, screen: Screen, ids: Sequence[str], found: Sequence[Refit]) -> list[Refit]:
+        """As `_around`, of many effects: begun on the few runs that show most of the gap, and those that leave
+        notably less there than the best of `found` refitted to all."""
+        runs = np.sort(np.argsort(-self.base.loss)[:TELLING])
+        mine = np.isin(self.given.estimate.windows.sample_run, runs)
+        there = replace(screen, base_jacobian=screen.base_jacobian[mine])
+        few = self.study.of(runs.tolist())
+        trials = [t for i in ids for t in self._trials_around(screen, i)]
+        begun = few.refit(self.study.start, trials, there, stage="from the given model, few runs", finish=0)
+        least = min((float(r.loss[runs].sum()) for r in found), default=np.inf)
+        better = [r for r in begun if r.total < NOTABLE * least]
+        return self.study.taken_over(better, "from the given model, all runs", finish=6, further=2)
+
+    def _trials_around(self, screen: Screen, effect: str) -> list[Trial]:
+        study, forms = self.study, [k for k in screen.forms if k[0] == effect]
+        keys = forms if len(forms) <= FORMS else [screen.best(effect)]
+        return [t for key in keys for t in either_side(study.trial(screen, key)[0], study.kinds)]
+
     def _around(self, screen: Screen, ids: Sequence[str], within: float = np.inf) -> list[Refit]:
         """Effects begun from the given model, of which the screen is, in each of their forms and to either side of
         where they vanish: to first order the way to a large effect is not known, the less where the base has been
         bent to it."""
-        study, trials = self.study, []
-        for i in ids:
-            forms = [k for k in screen.forms if k[0] == i]
-            for key in forms if len(forms) <= FORMS else [screen.best(i)]:
-                trials += either_side(study.trial(screen, key)[0], study.kinds)
+        study, trials = self.study, [t for i in ids for t in self._trials_around(screen, i)]
         return study.refit(study.start, trials, screen, stage="from the given model", finish=6, within=within)
 
     def _begun(
@@ -222,7 +237,7 @@ class Selection:
             more = study.refit(found.best.model, trials, on_top, steps, stage="several effects", finish=2, sure=1)
             if len(found.best.ids) == 1 and share > PAIRS:
                 both = pairs(list(left.values())[:LEADING], study.kinds)
-                more += study.refit(study.start, both, None, stage="pairs", finish=2)
+                more += study.refit(study.start, both, self._from_given, stage="pairs", finish=2)
             for r in more:
                 key = tuple(sorted(r.ids))
                 if key not in found.joint or r.total < found.joint[key].total:

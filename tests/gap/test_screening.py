@@ -187,32 +187,44 @@ def test_no_gap_is_unexplained_before_every_effect_has_been_tried():
     keys = {(k.id, 0): float(k.id != cause) * (2 + i) for i, k in enumerate(kinds)}
     columns = [Column(k.id, 0, next(iter(k.sizes())), -1.0, 1.0, 1.0) for k in kinds]
     steps = {(c.id, 0): {c.name: 0.1} for c in columns}
-    none: Any = np.zeros((0, 0))
+    none: Any = np.zeros((2, 0))
     forms: dict[tuple[str, int], dict[str, float]] = {k: {} for k in keys}
     still = {k: np.zeros(0) for k in keys}
     seen = Screen(columns, forms, none, none, none, keys, keys, steps, still, none)
 
     def refitted(trial: Trial, explains: str) -> Any:
         total = 101.0 if trial.ids == (explains,) else 900.0
-        return SimpleNamespace(trial=trial, ids=trial.ids, total=total, free_effects=dict(trial.start))
+        loss, start = np.array([total / 2, total / 2]), dict(trial.start)
+        return SimpleNamespace(trial=trial, ids=trial.ids, total=total, loss=loss, free_effects=start)
 
-    def tried(explains: str) -> list[str]:
+    def tried(explains: str) -> tuple[list[str], set[str]]:
+        """The effects refitted to all runs, the last last, and all of them begun."""
+        begun: set[str] = set()
+
         class Told(Study):
             def screen(self, from_):
                 return seen
 
             def refit(self, like, trials, screen, steps=None, stage="", finish=1, sure=0, within=np.inf):
+                begun.update(t.ids[0] for t in trials)
                 return [refitted(t, explains) for t in trials]
+
+            def taken_over(self, refits, stage, finish, further):
+                return list(refits)
 
         any_: Any = None
         selection: Any = object.__new__(Selection)
-        selection.study = Told(any_, (), kinds, (), 0.0, {})
-        selection.screen, selection.base = seen, SimpleNamespace(model=None, total=1000.0)
+        selection.study = Told(any_, (), kinds, (any_, any_), 0.0, {})
+        estimate = SimpleNamespace(windows=SimpleNamespace(sample_run=np.arange(2)))
+        selection.screen = seen
+        selection.base = SimpleNamespace(model=None, total=1000.0, loss=np.array([400.0, 600.0]), estimate=estimate)
         selection.given, selection.measured = selection.base, Measured([])
         selection.floor, selection.excess = 100.0, 900.0
         selection._promising = lambda: True
-        return [r.ids[0] for r in selection._leaders()]
+        return [r.ids[0] for r in selection._leaders()], begun
 
-    assert set(tried(cause)) == set(REGISTRY)
+    refits, begun = tried(cause)
+    assert begun == set(REGISTRY)
+    assert refits[-1] == cause  # it alone was worth refitting to all runs
     first = max(keys, key=lambda k: keys[k])[0]
-    assert cause not in tried(first)  # what explains the runs at once leaves the rest untried
+    assert cause not in tried(first)[1]  # what explains the runs at once leaves the rest untried
