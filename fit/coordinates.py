@@ -9,10 +9,9 @@ where it must be positive.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -49,6 +48,9 @@ class Coordinates:
         self.names = tuple(names)
         self.pressure = float(max(pressure_max_kpa, 1.0))
         self.like = _inside(like)
+        self._leaves, self._form = jax.tree.flatten(self.like)
+        numbered = jax.tree.unflatten(self._form, range(len(self._leaves)))
+        self._places = [leaf(numbered, p) for p in names]
         whole = [p for group in GROUPS if set(group) <= set(names) for p in group]
         alone = ("chain.half_length_m", "chain.radius_m", "chain.lever_arm_m", "chain.segment_mass_kg")
         single = [p for p in names if p in (*alone, "gravity.alpha1", "friction.sigma3", "friction.v_s")]
@@ -80,7 +82,7 @@ class Coordinates:
 
     def model(self, x: np.ndarray) -> Model:
         """The model at x (k,)."""
-        return _with(self.like, self.names, [jnp.asarray(v) for v in self.physical(x)])
+        return self._with(self._leaves, [jnp.asarray(v) for v in self.physical(x)])
 
     def physical(self, x: np.ndarray) -> np.ndarray:
         """(k,) the free parameters at x, in their units."""
@@ -104,8 +106,14 @@ class Coordinates:
 
     def slopes(self, x: np.ndarray) -> Model:
         """A model whose leaves are (k,): the derivatives of the model's parameters by x."""
-        zero = jax.tree.map(lambda _: np.zeros(len(self)), self.like)
-        return _with(zero, self.names, list(self.jacobian(x)))
+        return self._with([np.zeros(len(self))] * len(self._leaves), self.jacobian(x))
+
+    def _with(self, leaves: Sequence[Any], values: Iterable[Any]) -> Model:
+        """A model of these leaves but for the free parameters (many times faster than `equinox.tree_at`)."""
+        new = list(leaves)
+        for i, value in zip(self._places, values, strict=True):
+            new[i] = value
+        return jax.tree.unflatten(self._form, new)
 
     def admissible(self, x: np.ndarray) -> bool:
         """Whether the model at x is one; always, but where a set of parameters is frozen in part."""
@@ -116,11 +124,7 @@ class Coordinates:
             check(model, (0.0, self.pressure))
         except InputError:
             return False
-        return float(passivity_margin(model)) >= -1e-9 or set(GROUPS[2]) <= set(self.names)
-
-
-def _with(model: Model, names: Sequence[str], values: Sequence[Any]) -> Model:
-    return eqx.tree_at(lambda m: [leaf(m, p) for p in names], model, list(values)) if names else model
+        return set(GROUPS[2]) <= set(self.names) or float(passivity_margin(model)) >= -1e-9
 
 
 def without_effects(model: Model) -> Model:
