@@ -174,8 +174,8 @@ def residuals(shown: Sequence[Trace], over: Axis, noise_deg: float) -> Figure:
 
 def _bins(x: np.ndarray, y: np.ndarray, even: bool, most: int = 20) -> tuple[np.ndarray, np.ndarray]:
     """(b,) middles of bins of x, of like width (`even`) or of like counts, and (b, 5) the 2.5, 16, 50, 84 and 97.5 %
-    points of y in each; bins of few samples are left out."""
-    share = np.linspace(0, 1, most + 1)
+    points of y in each; bins of few samples are left out, and there are so few bins that one of them stays."""
+    share = np.linspace(0, 1, min(most, max(len(x) // 20, 1)) + 1)
     edges = np.unique(x.min() + np.ptp(x) * share if even else np.quantile(x, share))
     index = np.searchsorted(edges[1:-1], x, side="right")
     used = [k for k, count in enumerate(np.bincount(index)) if count >= min(20, len(x) // 2)]

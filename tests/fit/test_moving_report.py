@@ -236,6 +236,16 @@ def test_residuals_by_pressure_show_where_a_law_fails():
     assert np.shape(ax.collections[0].get_offsets()) == (CLOUD, 2)
 
 
+@pytest.mark.parametrize("count", [10, 300, 3000])
+def test_residuals_of_a_short_run_that_never_rests_are_drawn_too(count):
+    rate, error = np.random.default_rng(0).normal(size=(2, count))
+    trace: Any = SimpleNamespace(rate=rate, error=error)
+    (ax,) = residuals([trace], "rate", 0.01).axes
+    x, median = np.asarray(ax.lines[0].get_xydata()).T
+    assert 1 <= len(x) <= 20 and np.degrees(rate.min()) < x.min() <= x.max() < np.degrees(rate.max())
+    assert np.max(np.abs(median)) < np.max(np.abs(error))
+
+
 def test_of_many_runs_the_best_and_the_worst_are_drawn_and_that_is_said():
     rms = np.random.default_rng(0).permutation(np.arange(1.0, 31.0))
     many: Any = [SimpleNamespace(said=SimpleNamespace(rms=x)) for x in rms]
