@@ -186,6 +186,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1, help="diagnoses side by side")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-timing", action="store_true", help="leave out the comparison with the time of ljjax fit")
+    parser.add_argument("--time", default="", metavar="CASE,…", help="do nothing but that comparison, for these cases")
     parser.add_argument("--page", action="store_true", help="write docs/blind.md and its pictures too")
     given = parser.parse_args()
     if "small" in (given.cases, given.only):
@@ -198,6 +199,16 @@ def main() -> None:
             parser.error(f"--cases {given.cases}: expected a whole number, small or all")
         chosen = cases.catalogue(given.seed, kinds, None if given.cases == "all" else int(given.cases))
     out = given.out / f"seed-{given.seed}"
+    if given.time:
+        ids = given.time.split(",")
+        if unknown := set(ids) - {c.case_id for c in chosen}:
+            parser.error(f"--time {', '.join(sorted(unknown))}: not among this seed's, such as {chosen[0].case_id}")
+        for case in (c for c in chosen if c.case_id in ids):
+            cases.make(case, out)
+            took = timed(case, out)
+            ratio = f"{took['ratio']:.1f} times as long"
+            print(f"{case.case_id}: fit {took['fit_s']:.0f} s, gap {took['gap_s']:.0f} s, {ratio}")
+        return
     found = study(chosen, out, given.jobs, not given.no_timing)
     found |= {"seed": given.seed}
     save(found, given.out)

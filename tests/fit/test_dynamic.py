@@ -18,15 +18,12 @@ from scipy import stats
 from ljjax.cli import main
 from ljjax.errors import InputError
 from ljjax.fit import fit, fit_many
-from ljjax.fit.coordinates import Coordinates
-from ljjax.fit.covariance import bandwidth
 from ljjax.fit.dynamic import Search
 from ljjax.fit.folds import conditions, left_out
 from ljjax.fit.moving import DynamicResult, profile_interval
 from ljjax.fit.pooling import pool
 from ljjax.fit.problem import ROUNDS
 from ljjax.fit.shooting import together
-from ljjax.fit.windows import STEPS, cut, motion, white_noise
 from ljjax.inputs import Inputs
 from ljjax.logs import Run, Signal, Writer
 from ljjax.model import Chain, Elastic, Friction, Gravity, Jamming, Model, get, replace
@@ -273,9 +270,6 @@ def test_priors_and_bounds_of_the_file_hold():
         fit(dataclasses.replace(start, bounds={"elastic.c3": (2.0, 3.0)}), runs)
 
 
-# --- the pieces, without a fit
-
-
 @pytest.mark.parametrize("bound, reached", [(-0.1, -0.1), (-2.0, -0.25), (0.0, 0.0)])
 def test_a_step_goes_no_further_than_its_bound_or_its_reach(bound, reached):
     stands: Any = SimpleNamespace(problem=SimpleNamespace(coordinates=SimpleNamespace(spread=np.ones(2))))
@@ -283,56 +277,6 @@ def test_a_step_goes_no_further_than_its_bound_or_its_reach(bound, reached):
     step = Search._step(stands, a, g, 0.0, [(np.array([0.0, 1.0]), bound, np.inf)])
     assert step[1] == pytest.approx(reached)
     assert step[0] == pytest.approx((g[0] - a[0, 1] * reached) / a[0, 0])  # the other makes the best of it
-
-
-def test_coordinates_are_admissible_everywhere_and_start_at_the_model():
-    model = robot()
-    names = (*MOVED, "friction.sigma1", "friction.mu_s", "friction.sigma3", "friction.v_s", "chain.segment_mass_kg")
-    c = Coordinates(model, names, 40.0)
-    np.testing.assert_allclose(c.physical(c.start), [float(get(model, p)) for p in names], rtol=1e-10)
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        assert c.admissible(c.start + rng.normal(scale=1.0, size=len(c)))
-    x = c.start + 0.1
-    numeric = [(c.physical(x + d) - c.physical(x - d)) / 2e-6 for d in 1e-6 * np.eye(len(c))]
-    np.testing.assert_allclose(c.jacobian(x), np.array(numeric).T, rtol=1e-6, atol=1e-9)
-
-
-def test_a_frozen_parameter_stays_although_its_partners_move():
-    model = robot()
-    c = Coordinates(model, ("elastic.c2", "friction.mu_s"), 40.0)
-    moved = c.model(c.start + 0.2)
-    for path in ("elastic.c1", "elastic.c3", "friction.mu_c", "friction.sigma2"):
-        assert float(get(moved, path)) == float(get(model, path))
-    assert float(get(moved, "friction.mu_s")) == pytest.approx(0.0036 * np.exp(0.2))
-    assert not c.admissible(np.array([0.05, np.log(0.001)]))  # mu_s below mu_c
-
-
-def test_windows_hold_every_sample_once_and_cover_their_run():
-    run = logged(robot(), 0)
-    w = cut([motion(run, 2), motion(logged(robot(), 1, 2.5), 2)], 0.005)
-    assert len(w.y) == 301 + 251
-    t = w.t[w.window, w.step] + w.weight * w.h
-    np.testing.assert_allclose(t, w.sample_t, atol=1e-9)
-    assert list(np.flatnonzero(w.opens)) == [0, 3]
-    np.testing.assert_allclose(w.left.shape, (6, STEPS))
-    some = w.some(4)
-    np.testing.assert_allclose(some.t[some.window, some.step] + some.weight * some.h, some.sample_t, atol=1e-9)
-
-
-def test_noise_and_its_colour_are_measured():
-    rng = np.random.default_rng(0)
-    trend = np.sin(np.linspace(0, 20, 5000))[:, None]
-    assert white_noise(trend + 0.01 * rng.normal(size=(5000, 1)))[0] == pytest.approx(0.01, rel=0.1)
-    fast = 0.05 * np.sin(np.linspace(0, 300, 5000))[:, None]
-    rounded = 0.01 * np.round((fast + 0.0195 * rng.normal(size=(5000, 1))) / 0.01)
-    assert white_noise(rounded)[0] == pytest.approx(np.hypot(0.0195, 0.01 / np.sqrt(12)), rel=0.03)
-    white = rng.normal(size=5000)
-    assert bandwidth(white) <= 4
-    slow = np.zeros(5000)
-    for i in range(1, 5000):
-        slow[i] = 0.95 * slow[i - 1] + white[i]
-    assert bandwidth(slow) > 50
 
 
 def test_pooling_draws_what_a_robot_hardly_shows_to_the_others(found):
@@ -380,21 +324,6 @@ def test_statics_join_the_motion(tmp_path: Path):
     result = fit(ModelFile(wrong, frozen=KNOWN), [*runs, probe])
     assert result.parameters["chain.lever_arm_m"].value == pytest.approx(0.02, rel=0.01)
     assert result.parameters["elastic.c3"].value == pytest.approx(1.5, rel=0.02)
-
-
-def test_a_run_that_begins_in_motion_starts_with_its_rate():
-    whole = logged(robot(), 0)
-    theta = whole.signals["shape"].value.mean(axis=1)
-    rate = (theta[6:] - theta[:-6]) / 0.06
-    fastest = int(np.argmax(np.abs(rate)))  # around its middle the rate hardly changes
-    late = dataclasses.replace(whole, signals={k: _from(s, 0.01 * fastest) for k, s in whole.signals.items()})
-    np.testing.assert_allclose(motion(late, 2).v0, rate[fastest], rtol=0.1)
-    assert not motion(whole, 2).v0.any()
-
-
-def _from(s: Signal, t0: float) -> Signal:
-    keep = s.t >= t0 - 1e-9
-    return dataclasses.replace(s, t=s.t[keep], value=s.value[keep])
 
 
 @pytest.mark.parametrize("options", [{"method": "adam"}, {"restarts": 3}], ids=["adam", "restarts"])
@@ -446,11 +375,3 @@ def test_the_command_fits_robots_in_folders_and_leaves_out_what_is_broken(found,
     assert not (out / "r3").exists()
     for name in ("model.toml", "report.html", "result.mcap"):
         assert (out / "r1" / name).stat().st_size > 0
-
-
-def test_the_stribeck_exponent_stays_where_steps_resolve_it():
-    """A steeper fall of the friction is a jump, whose solution a step may miss by degrees."""
-    assert Coordinates(robot(), MOVED, 40.0).bounds == {}
-    assert Coordinates(robot(), ("friction.sigma3",), 40.0).bounds == {"friction.sigma3": (0.0, 4.0)}
-    steep = replace(robot(), {"friction.sigma3": 6.0})
-    assert Coordinates(steep, ("friction.sigma3",), 40.0).bounds["friction.sigma3"][1] == 6.0

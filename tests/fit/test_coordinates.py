@@ -1,0 +1,53 @@
+"""The coordinates a fit moves: a robot at every one of them, and the right derivatives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ljjax.data import OCTROBOT
+from ljjax.fit.coordinates import Coordinates
+from ljjax.model import Model, get, replace
+from ljjax.modelfile import load
+
+MOVED = (
+    *("gravity.alpha1", "elastic.c1", "elastic.c2", "elastic.c3", "jamming.c4", "jamming.c5"),
+    *("friction.sigma2", "friction.mu_c"),
+)
+
+
+def robot() -> Model:
+    """OctRobot-I, its assumed friction such that σ₃ and μ_S > μ_C matter."""
+    model = load(OCTROBOT / "nominal.toml").model
+    return replace(model, {"friction.sigma3": 1.6, "friction.mu_c": 0.0032, "friction.mu_s": 0.0036})
+
+
+def test_coordinates_are_admissible_everywhere_and_start_at_the_model():
+    model = robot()
+    names = (*MOVED, "friction.sigma1", "friction.mu_s", "friction.sigma3", "friction.v_s", "chain.segment_mass_kg")
+    c = Coordinates(model, names, 40.0)
+    np.testing.assert_allclose(c.physical(c.start), [float(get(model, p)) for p in names], rtol=1e-10)
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        assert c.admissible(c.start + rng.normal(scale=1.0, size=len(c)))
+    x = c.start + 0.1
+    numeric = [(c.physical(x + d) - c.physical(x - d)) / 2e-6 for d in 1e-6 * np.eye(len(c))]
+    np.testing.assert_allclose(c.jacobian(x), np.array(numeric).T, rtol=1e-6, atol=1e-9)
+
+
+def test_a_frozen_parameter_stays_although_its_partners_move():
+    model = robot()
+    c = Coordinates(model, ("elastic.c2", "friction.mu_s"), 40.0)
+    moved = c.model(c.start + 0.2)
+    for path in ("elastic.c1", "elastic.c3", "friction.mu_c", "friction.sigma2"):
+        assert float(get(moved, path)) == float(get(model, path))
+    assert float(get(moved, "friction.mu_s")) == pytest.approx(0.0036 * np.exp(0.2))
+    assert not c.admissible(np.array([0.05, np.log(0.001)]))  # mu_s below mu_c
+
+
+def test_the_stribeck_exponent_stays_where_steps_resolve_it():
+    """A steeper fall of the friction is a jump, whose solution a step may miss by degrees."""
+    assert Coordinates(robot(), MOVED, 40.0).bounds == {}
+    assert Coordinates(robot(), ("friction.sigma3",), 40.0).bounds == {"friction.sigma3": (0.0, 4.0)}
+    steep = replace(robot(), {"friction.sigma3": 6.0})
+    assert Coordinates(steep, ("friction.sigma3",), 40.0).bounds["friction.sigma3"][1] == 6.0
