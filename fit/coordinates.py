@@ -49,6 +49,7 @@ class Coordinates:
         self.pressure = float(max(pressure_max_kpa, 1.0))
         self.like = _inside(like)
         self._leaves, self._form = jax.tree.flatten(self.like)
+        self._numbers = [np.asarray(leaf) for leaf in self._leaves]
         numbered = jax.tree.unflatten(self._form, range(len(self._leaves)))
         self._places = [leaf(numbered, p) for p in names]
         whole = [p for group in GROUPS if set(group) <= set(names) for p in group]
@@ -83,6 +84,10 @@ class Coordinates:
     def model(self, x: np.ndarray) -> Model:
         """The model at x (k,)."""
         return self._with(self._leaves, [jnp.asarray(v) for v in self.physical(x)])
+
+    def numbers(self, x: np.ndarray) -> Model:
+        """The same, its leaves NumPy's."""
+        return self._with(self._numbers, self.physical(x))
 
     def physical(self, x: np.ndarray) -> np.ndarray:
         """(k,) the free parameters at x, in their units."""
@@ -119,12 +124,11 @@ class Coordinates:
         """Whether the model at x is one; always, but where a set of parameters is frozen in part."""
         if not np.all(np.isfinite(x)):
             return False
-        model = self.model(x)
         try:
-            check(model, (0.0, self.pressure))
+            check(self.numbers(x), (0.0, self.pressure))
         except InputError:
             return False
-        return set(GROUPS[2]) <= set(self.names) or float(passivity_margin(model)) >= -1e-9
+        return set(GROUPS[2]) <= set(self.names) or float(passivity_margin(self.model(x))) >= -1e-9
 
 
 def without_effects(model: Model) -> Model:

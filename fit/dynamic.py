@@ -123,9 +123,8 @@ class Search:
 
     def _ask(self, x: np.ndarray, offset: np.ndarray, starts: Starts | None) -> Asking[Answer]:
         c = self.problem.coordinates
-        model = jax.tree.map(np.asarray, c.model(x))
         self.asked += 1
-        return (yield Request(self.windows, model, c.slopes(x), offset[self.group], starts, self.how.onward))
+        return (yield Request(self.windows, c.numbers(x), c.slopes(x), offset[self.group], starts, self.how.onward))
 
     def _evaluate(self, x: np.ndarray, offset: np.ndarray, starts: Starts | None) -> Asking[_Point]:
         """The model's predictions; in a free run repeated until its windows meet."""

@@ -31,7 +31,7 @@ def tiled(kernel: Callable, arguments: Any, tile: int) -> Any:
     shapes = (*form, *(x.shape[:-1] for x in leaves))
     parts = []
     if shapes not in _ready:  # compile once, not in every thread
-        with _uncollected():
+        with uncollected():
             parts = [work(index[0])]
         _ready.add(shapes)
     if len(index) == 1:
@@ -46,7 +46,7 @@ _ready: set[Any] = set()
 
 
 @contextlib.contextmanager
-def _uncollected() -> Iterator[None]:
+def uncollected() -> Iterator[None]:
     """Without the garbage collector, which takes a quarter of the time of tracing, and finds nothing."""
     collecting = gc.isenabled()
     gc.disable()
@@ -99,9 +99,14 @@ def _constants(model, slopes):
     return _push(constants, (model,), (slopes,))
 
 
-def shoot(joints: bool, onward: bool, model, slopes, *rest):
-    """`_shoot`, with the constants it needs."""
-    return _shoot(joints, onward, model, slopes, *_constants(model, slopes), *rest)
+def shoot(joints: bool, model, slopes, *rest):
+    """`_shoot` of windows by themselves, with the constants it needs."""
+    return _shoot(joints, False, model, slopes, *_constants(model, slopes), *rest)
+
+
+def onward(joints: bool, model, slopes) -> Callable:
+    """`_shoot` of these robots for any window of theirs: from state, its derivatives, drive and step."""
+    return partial(_shoot, joints, True, model, slopes, *_constants(model, slopes))
 
 
 @partial(jax.jit, static_argnums=(0, 1), compiler_options=_options())

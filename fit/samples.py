@@ -33,24 +33,26 @@ class Samples:
         self.predicted = np.full(w.y.shape, np.nan)
         self.jacobian = np.full((*w.y.shape, self.k + 1), np.nan, np.float32 if request.onward else float)
         late = [(float(d), s.latency_s()) for e, s in _effects(request) if (d := e.latency_s()) is not None]
-        self.window, self.step, self.weight, self.slope = w.window, w.step, w.weight, None
-        if late:
-            self.slope = np.asarray(sum(slope for _, slope in late))
+        latency, self.slope = sum(d for d, _ in late), np.asarray(sum(slope for _, slope in late)) if late else None
+        self.window, self.step, self.weight = w.window, w.step, w.weight
+        if latency:
             place = w.window * STEPS + w.step + w.weight
             opening = (
                 np.maximum.accumulate(np.where(w.opens, np.arange(len(w)), 0)) if request.onward else np.arange(len(w))
             )
-            place = np.maximum(place - sum(d for d, _ in late) / w.h, opening[w.window] * STEPS)
+            place = np.maximum(place - latency / w.h, opening[w.window] * STEPS)
             self.window = np.minimum(place // STEPS, w.window).astype(int)
             self.step = np.minimum(np.floor(place - self.window * STEPS), STEPS - 1).astype(int)
             self.weight = place - self.window * STEPS - self.step
+        self.order, self.bounds = w.order_of(self.window) if latency else w.order
 
     def read(self, windows: np.ndarray, path: Any, slopes: Any) -> None:
-        """Take what lies in these windows (an ascending index) from their paths (K + 1, W)."""
+        """Take what lies in these windows (an index) from their paths (K + 1, W)."""
         (q, v, seen), (dq, dv, dseen) = path, slopes
-        mine = np.flatnonzero(np.isin(self.window, windows))
+        a, b = self.bounds[windows], self.bounds[windows + 1]
+        mine = np.concatenate([self.order[i:j] for i, j in zip(a, b, strict=True)])
         h, w = self.windows.h, self.weight[mine]
-        at = self.step[mine] * len(windows) + np.searchsorted(windows, self.window[mine])
+        at = self.step[mine] * len(windows) + np.repeat(np.arange(len(windows)), b - a)
         after = at + len(windows)
         cubic = (1 - w * w * (3 - 2 * w), w * w * (3 - 2 * w), h * w * (1 - w) ** 2, h * w * w * (w - 1))
         on_steps = bool(np.all(np.minimum(w, 1 - w) < ON_STEP))

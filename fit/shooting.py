@@ -10,7 +10,9 @@ in step, so that their windows fill one batch.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar
@@ -18,7 +20,7 @@ from typing import Any, TypeVar
 import jax
 import numpy as np
 
-from ljjax.fit.kernel import balance, shoot, tiled
+from ljjax.fit.kernel import balance, onward, shoot, tiled, uncollected
 from ljjax.fit.samples import Samples, derivatives
 from ljjax.fit.windows import Windows
 from ljjax.model import Model
@@ -125,9 +127,9 @@ def answer_all(requests: Sequence[Request]) -> list[Answer]:
         form = jax.tree.structure(r.model), _padded(r), r.windows.y.shape[1] > 1, r.onward, r.windows.h
         groups.setdefault(form, []).append(i)
     answers: list[Any] = [None] * len(parts)
-    for (_, width, joints, onward, _), members in groups.items():
+    for (_, width, joints, free, _), members in groups.items():
         asked = [parts[i] for i in members]
-        found = _onward(asked, width, joints) if onward else _answer(asked, width, joints)
+        found = _onward(asked, width, joints) if free else _answer(asked, width, joints)
         for i, answer in zip(members, found, strict=True):
             answers[i] = answer
     rest = iter(answers)
@@ -170,7 +172,7 @@ class _Batch:
         self.of = np.repeat(np.arange(len(requests)), self.count)
         self.model = jax.tree.map(lambda *x: np.array(x, float), *(r.model for r in requests))
         self.slopes = jax.tree.map(
-            lambda *x: np.stack([np.pad(np.asarray(y), (0, width + 1 - len(y))) for y in x], axis=1),
+            partial(_padded_to, width + 1),
             *(r.slopes for r in requests),
         )
         self.drive = jax.tree.map(
@@ -188,27 +190,38 @@ class _Batch:
         mine = self.of[windows]
         return jax.tree.map(lambda x: x[..., mine], (self.model, self.slopes))
 
-    def balance(self, windows: Any) -> Starts:
-        """Where these windows start from the data."""
-        take = lambda x: x[..., windows]  # noqa: E731
-        q, v, first = jax.tree.map(take, (self.q, self.v, jax.tree.map(lambda x: x[0], self.drive)))
-        return Starts(*tiled(balance, (*self.robots(windows), q, v, first), TILE))
+    def data(self, windows: Any) -> tuple[Any, Any, Any]:
+        """Shapes, rates and first drives of these windows, from the data."""
+        return jax.tree.map(lambda x: x[..., windows], (self.q, self.v, jax.tree.map(lambda x: x[0], self.drive)))
 
-    def shoot(self, windows: Any, starts: Starts, joints: bool, onward: bool = False) -> Any:
-        """`_shoot` of these windows from `starts`; where they are not run onward also `Answer.passed`."""
-        take = lambda x: x[..., windows]  # noqa: E731
-        drive, h = jax.tree.map(take, (self.drive, self.h))
-        (model, slopes), slope = self.robots(windows), starts.slope
-        if not onward:
-            slopes = jax.tree.map(lambda x: np.concatenate([x, np.zeros_like(x[:2])]), slopes)
-            slope = jax.tree.map(lambda *x: np.concatenate(x), slope, _alike(slope))
-        given = model, slopes, starts.state, slope, drive, h
-        ends, end_slopes, path, path_slopes = tiled(partial(shoot, joints, onward), given, NARROW if onward else TILE)
-        if onward:
-            return ends, end_slopes, path, path_slopes, None
+    def driven(self, windows: Any) -> tuple[Any, Any]:
+        """What drives these windows, and the lengths of their steps."""
+        return jax.tree.map(lambda x: x[..., windows], (self.drive, self.h))
+
+    def balance(self) -> Starts:
+        """Where all windows start from the data."""
+        every = slice(None)
+        return Starts(*tiled(balance, (*self.robots(every), *self.data(every)), TILE))
+
+    def shoot(self, starts: Starts, joints: bool) -> Any:
+        """All windows from `starts`: middles and ends, path, their derivatives, and `Answer.passed`."""
+        every = slice(None)
+        (model, slopes), slope = self.robots(every), starts.slope
+        slopes = jax.tree.map(lambda x: np.concatenate([x, np.zeros_like(x[:2])]), slopes)
+        slope = jax.tree.map(lambda *x: np.concatenate(x), slope, _alike(slope))
+        given = model, slopes, starts.state, slope, *self.driven(every)
+        ends, end_slopes, path, path_slopes = tiled(partial(shoot, joints), given, TILE)
         passed = np.stack([np.stack([y[-2:] for y in x], axis=1) for x in (end_slopes[1].q, end_slopes[1].z)])
         end_slopes, path_slopes = jax.tree.map(lambda s: s[:-2], (end_slopes, path_slopes))
         return ends, end_slopes, path, path_slopes, passed
+
+
+def _padded_to(length: int, *slopes: np.ndarray) -> np.ndarray:
+    """(length, requests) of one leaf's slopes, no longer each, zeros after them."""
+    out = np.zeros((length, len(slopes)))
+    for i, x in enumerate(slopes):
+        out[: len(x), i] = x
+    return out
 
 
 def _alike(slope: Unrolled) -> Unrolled:
@@ -220,8 +233,7 @@ def _alike(slope: Unrolled) -> Unrolled:
 
 def _answer(requests: Sequence[Request], width: int, joints: bool) -> list[Answer]:
     batch = _Batch(requests, width)
-    everything = slice(None)
-    used = batch.balance(everything)
+    used = batch.balance()
     parts = np.cumsum([0, *batch.count])
     if any(r.starts is not None for r in requests):
         given = []
@@ -229,7 +241,7 @@ def _answer(requests: Sequence[Request], width: int, joints: bool) -> list[Answe
             opening = jax.tree.map(lambda x, a=a, b=b: x[..., a:b], used)
             given.append(opening if r.starts is None else _where(r.windows.opens, opening, r.starts))
         used = jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *given)
-    (middle, end), (middle_slope, end_slope), path, path_slope, passed = batch.shoot(everything, used, joints)
+    (middle, end), (middle_slope, end_slope), path, path_slope, passed = batch.shoot(used, joints)
     answers = []
     for r, a, b in zip(requests, parts[:-1], parts[1:], strict=True):
 
@@ -244,29 +256,42 @@ def _answer(requests: Sequence[Request], width: int, joints: bool) -> list[Answe
 
 
 def _onward(requests: Sequence[Request], width: int, joints: bool) -> list[Answer]:
-    """Free runs: the first windows of all runs, then their second ones, and so on; in float32, whose rounding is far
+    """Free runs, in tiles of many, each through all its windows one after the other; in float32, whose rounding is far
     below any measurement's noise."""
     batch = _Batch(requests, width, np.float32)
-    opens = np.concatenate([r.windows.opens for r in requests])
-    index = np.arange(len(opens))
-    place = index - np.maximum.accumulate(np.where(opens, index, 0))
+    opens = np.flatnonzero(np.concatenate([r.windows.opens for r in requests]))
+    last = np.append(opens[1:], len(batch.of)) - 1
     first = np.cumsum([0, *batch.count])
     samples = [Samples(r) for r in requests]
-    before, state = np.flatnonzero(place == 0), None
-    for k in range(int(place.max()) + 1):
-        now = np.flatnonzero(place == k)
-        if state is None:
-            state = batch.balance(now)
-        else:
-            kept = np.isin(before, now - 1)
-            state = jax.tree.map(lambda x, kept=kept: x[..., kept], state)
-        (_, end), (_, slope), path, path_slope, _ = batch.shoot(now, state, joints, True)
-        for i in np.unique(batch.of[now]):
-            mine = np.flatnonzero(batch.of[now] == i)
-            take = lambda x, mine=mine: x[..., mine]  # noqa: E731
-            samples[i].read(now[mine] - first[i], jax.tree.map(take, path), jax.tree.map(take, path_slope))
-        before, state = now, Starts(end, slope)
+
+    def tile(begin: int) -> None:
+        runs = np.arange(begin, begin + NARROW)
+        real, runs = runs < len(opens), np.minimum(runs, len(opens) - 1)
+        at, until = opens[runs], last[runs]
+        of, (model, slopes) = batch.of[at], batch.robots(at)
+        state, slope = balance(model, slopes, *batch.data(at))
+        shoot_on = onward(joints, model, slopes)
+        for _ in range(int(np.max(until - at)) + 1):
+            (_, state), (_, slope), *paths = shoot_on(state, slope, *batch.driven(at))
+            paths = jax.tree.map(np.asarray, paths)
+            for i in np.unique(of[real]):
+                mine = np.flatnonzero(real & (of == i))
+                samples[i].read(at[mine] - first[i], *jax.tree.map(lambda x, mine=mine: x[..., mine], paths))
+            real, at = real & (at < until), np.minimum(at + 1, until)
+
+    begins = range(0, len(opens), NARROW)
+    form = jax.tree.structure(batch.model), joints, width, len(batch.q)
+    if form not in _ready:  # compile once, not in every thread
+        with uncollected():
+            tile(0)
+        _ready.add(form)
+        begins = begins[1:]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(tile, begins))
     return [Answer(s.predicted, s.jacobian) for s in samples]
+
+
+_ready: set[Any] = set()
 
 
 jax.tree_util.register_dataclass(Starts, ["state", "slope"], [])
@@ -276,7 +301,7 @@ def _drive(windows: Windows, model: Model) -> Drive:
     late, left, right = None, windows.left, windows.right
     delays = [float(d) for e in model.effects if (d := e.delay_s()) is not None]
     if delays:
-        left, right, slopes = windows.delayed(sum(delays))
+        left, right, slopes = windows.delayed(sum(delays)) if sum(delays) else windows.undelayed
         late = slopes[0].T, slopes[1].T
     warm, worn = (windows.warm.T, windows.worn.T) if model.effects else (None, None)
     arrays: Any = (left.T, right.T, windows.vacuum.T, None, warm, windows.t.T, worn, late)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -170,6 +171,20 @@ class Windows:
         of_sample = {name: getattr(self, name)[mine] for name in ("step", "weight", "y", "sample_run", "sample_t")}
         window = np.searchsorted(keep, self.window[mine])
         return Windows(opens=self.opens[keep], h=self.h, window=window, motions=self.motions, **of_window, **of_sample)
+
+    def order_of(self, window: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Samples that lie in the windows (N,), window by window, and where each window's begin in that order."""
+        order = np.argsort(window, kind="stable")
+        return order, np.searchsorted(window[order], np.arange(len(self) + 1))
+
+    @cached_property
+    def order(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.order_of(self.window)
+
+    @cached_property
+    def undelayed(self) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """`delayed` by nothing."""
+        return self.delayed(0.0)
 
     def delayed(self, delay_s: float) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
         """(W, STEPS) mean tensions left and right [N], commanded so much earlier, and their slopes over the delay."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -68,10 +69,12 @@ class Inquiry:
     def __init__(self, setting: Setting):
         study = setting.study
         self.setting = setting
-        self.base = study.base()
-        self.given = self._given()
-        self.screen = study.screen(self.base)
-        self.measured: Measured = channels.look(setting.train, study.kinds)
+        with ThreadPoolExecutor(1) as beside:  # while the large programs are compiled
+            measured = beside.submit(channels.look, setting.train, study.kinds)
+            self.base = study.base()
+            self.given = self._given()
+            self.screen = study.screen(self.base)
+        self.measured: Measured = measured.result()
         self.selection = Selection(study, self.base, self.given, self.screen, self.measured, setting.seed)
         self.found, self.floor, self.excess = self.selection.found, self.selection.floor, self.selection.excess
         self.gained = {i: self.base.total - r.total for i, r in self.found.single.items()}

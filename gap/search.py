@@ -25,8 +25,9 @@ from ljjax.model import Model, limits, replace
 BASE = (Round(0.01, False, np.inf, 2 * TILE, 0.1, 1e-2), Round(0.01, True, 1e-4, 1_000_000, 0.5, 3e-4))
 QUICK = Round(0.01, True, np.inf, 1_000_000, 0.5, 2e-4, onward=True)
 """How candidates are compared: free runs one window after the other, at the longest step that is as good as noise."""
-FIRST, LAST, WHOLE = 4, 5, 8
-"""Iterations for all candidates, by derivatives of the base that stay as they were; of the best; and for the answer."""
+SOON, FIRST, LAST, WHOLE = 2, 4, 5, 8
+"""Iterations after which many candidates are weeded; for all, by derivatives of the base that stay as they were; of the
+best; and for the answer."""
 EACH = 2
 """How many trials of the same effects are taken further."""
 AGAIN, FALLING = 3, 0.1
@@ -127,6 +128,11 @@ class Study:
     tell: Tell | None = None
     unit: np.ndarray | None = None
 
+    @cached_property
+    def windows(self) -> Windows:
+        """The training runs, cut as all candidates see them."""
+        return cut(self.motions, QUICK.step_s)
+
     @property
     def noise(self) -> np.ndarray:
         return np.sqrt(np.mean([m.noise**2 for m in self.motions], axis=0))
@@ -177,6 +183,14 @@ class Study:
             best = [r for r in again if before[id(r.trial)] - r.total > FALLING * before[id(r.trial)]]
         return first
 
+    def weeded(self, like: Model, trials: Sequence[Trial], screen: Screen, stage: str) -> list[Refit]:
+        """The third of many trials that leave least, refitted from the model `like` by the screen's derivatives of
+        the base: those that fall behind in the first iterations go no further."""
+        borrowed = screen.base_jacobian[..., : len(self.names)]
+        first = self._refit([self._begun(like, t) for t in trials], trials, {}, SOON, stage, borrowed)
+        best = sorted(first, key=lambda r: r.total)[: -(-len(first) // 3)]
+        return self._refit([r.model for r in best], [r.trial for r in best], {}, FIRST - SOON, stage, borrowed)
+
     def of(self, runs: Sequence[int]) -> Study:
         """The study of some of its runs, residuals in the same unit."""
         return dataclasses.replace(self, motions=[self.motions[i] for i in runs])
@@ -219,10 +233,7 @@ class Study:
                 x[: len(self.names)] += np.clip(steps[trial], -most, most)
             problem = Problem(c, self.motions, (), self.priors, self.bounds)
             x = x if c.admissible(x) else c.start
-            known = borrowed is not None
-            asked.append(
-                _chord(problem, x, iterations, borrowed) if known else estimate(problem, x, (QUICK,), iterations)
-            )
+            asked.append(_searched(problem, self.windows, x, iterations, borrowed))
         found = together(asked, self._tell(stage))
         return [Refit(t, f, self.loss(f)) for t, f in zip(trials, found, strict=True) if isinstance(f, Estimate)]
 
@@ -301,17 +312,20 @@ class _Chord(Search):
 
     def _ask(self, x: np.ndarray, offset: np.ndarray, starts: Starts | None) -> Asking[Answer]:
         c, count = self.problem.coordinates, self.borrowed.shape[-1]
-        model = jax.tree.map(np.asarray, c.model(x))
         slopes = jax.tree.map(lambda s: s[count:], c.slopes(x))
         self.asked += 1
-        answer = yield Request(self.windows, model, slopes, offset[self.group], onward=True)
+        answer = yield Request(self.windows, c.numbers(x), slopes, offset[self.group], onward=True)
         return dataclasses.replace(answer, jacobian=np.concatenate([self.borrowed, answer.jacobian], axis=-1))
 
 
-def _chord(problem: Problem, x: np.ndarray, iterations: int, borrowed: np.ndarray) -> Asking[Estimate]:
-    search, history = _Chord(problem, cut(problem.motions, QUICK.step_s), borrowed), []
+def _searched(
+    problem: Problem, windows: Windows, x: np.ndarray, iterations: int, borrowed: np.ndarray | None
+) -> Asking[Estimate]:
+    search = Search(problem, windows, QUICK) if borrowed is None else _Chord(problem, windows, borrowed)
+    history: list = []
     yield from search.run(x, iterations, history, 0)
-    return dataclasses.replace(search.result(history), converged=False)
+    found = search.result(history)
+    return found if borrowed is None else dataclasses.replace(found, converged=False)
 
 
 def _seen(search: Search, settle: bool, fitted: Estimate) -> Asking[Estimate]:

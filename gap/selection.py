@@ -20,8 +20,8 @@ LEADERS, FEW, SECOND, MOST = 12, 4, 5, 3
 before, and how many are found at most."""
 TELLING, NOTABLE = 2, 0.9
 """On how many runs, those that show most of the gap, the effects not begun from the given model yet are begun there,
-where no other explains it; and the share, of what the best so far leaves there, that one worth going on with leaves at
-most."""
+where no other explains it, and pairs; and the share, of what the best so far leaves there, that one worth going on with
+leaves at most. An effect that leaves more than that of the whole gap is no ground to add a further one to."""
 WIDE, FORMS, NEAR, NEARER = 6, 6, 4.0, 0.3
 """How many leaders are wherever there is a gap; in all their forms, if they have no more than that; and taken further
 where they come within so many times the least loss, or leave no more than this share of the gap."""
@@ -140,7 +140,8 @@ class Selection:
             if self._least(found) > FURTHER:
                 found += self._with_care(trials, found)
                 if self._least(found) > FURTHER:  # nothing explains it: then of those too that promise nothing
-                    found += self._untried(screen, [i for i in screen.ids if i not in begun], found)
+                    rest = [t for i in screen.ids if i not in begun for t in self._trials_around(screen, i)]
+                    found += self._on_few(rest, found, "from the given model", finish=6)
         return found
 
     def _least(self, refits: Sequence[Refit]) -> float:
@@ -163,18 +164,18 @@ class Selection:
         again = [cautious(t, study.kinds) for t in lost[:LOST]]
         return study.refit(self.base.model, again, self.screen, stage="with care", finish=2)
 
-    def _untried(self, screen: Screen, ids: Sequence[str], found: Sequence[Refit]) -> list[Refit]:
-        """As `_around`, of many effects: begun on the few runs that show most of the gap, and those that leave
-        notably less there than the best of `found` refitted to all."""
+    def _on_few(self, trials: Sequence[Trial], found: Sequence[Refit], stage: str, finish: int) -> list[Refit]:
+        """Trials begun at the given model on the few runs that show most of the gap; the best of those that leave
+        notably less there than the best of `found`, refitted to all runs."""
+        screen = self._from_given
+        assert screen is not None
         runs = np.sort(np.argsort(-self.base.loss)[:TELLING])
         mine = np.isin(self.given.estimate.windows.sample_run, runs)
         there = replace(screen, base_jacobian=screen.base_jacobian[mine])
-        few = self.study.of(runs.tolist())
-        trials = [t for i in ids for t in self._trials_around(screen, i)]
-        begun = few.refit(self.study.start, trials, there, stage="from the given model, few runs", finish=0)
+        begun = self.study.of(runs.tolist()).weeded(self.study.start, trials, there, f"{stage}, few runs")
         least = min((float(r.loss[runs].sum()) for r in found), default=np.inf)
         better = [r for r in begun if r.total < NOTABLE * least]
-        return self.study.taken_over(better, "from the given model, all runs", finish=6, further=2)
+        return self.study.taken_over(better, f"{stage}, all runs", finish, further=2)
 
     def _trials_around(self, screen: Screen, effect: str) -> list[Trial]:
         study, forms = self.study, [k for k in screen.forms if k[0] == effect]
@@ -218,7 +219,7 @@ class Selection:
 
     def _forward(self, singles: Sequence[Refit]) -> Found:
         """Forward selection with backward pruning, and all pairs among the leaders."""
-        study, left = self.study, {}
+        left: dict[str, Refit] = {}
         for r in singles:
             self.measured.listen(self.own_left(r), r.fitted)
         for r in sorted(singles, key=self.left):
@@ -231,13 +232,9 @@ class Selection:
             share = self.left(found.best)
             if share < max(FURTHER, 15 * unit):
                 break
-            on_top = study.screen(found.best)
-            steps = self._begun(on_top, self._ahead(on_top, SECOND), found.best)
-            trials = [*steps, *self._heard(found.best)]
-            more = study.refit(found.best.model, trials, on_top, steps, stage="several effects", finish=2, sure=1)
+            more = self._further(found.best) if share < NOTABLE else []
             if len(found.best.ids) == 1 and share > PAIRS:
-                both = pairs(list(left.values())[:LEADING], study.kinds)
-                more += study.refit(study.start, both, self._from_given, stage="pairs", finish=2)
+                more += self._pairs(list(left.values()), hopeless=share > OFF)
             for r in more:
                 key = tuple(sorted(r.ids))
                 if key not in found.joint or r.total < found.joint[key].total:
@@ -252,6 +249,20 @@ class Selection:
         if len(found.best.ids) > 1:
             self._exchange(found)
         return found
+
+    def _further(self, best: Refit) -> list[Refit]:
+        """What promises most on top of the best so far, refitted with it."""
+        on_top = self.study.screen(best)
+        steps = self._begun(on_top, self._ahead(on_top, SECOND), best)
+        trials = [*steps, *self._heard(best)]
+        return self.study.refit(best.model, trials, on_top, steps, stage="several effects", finish=2, sure=1)
+
+    def _pairs(self, singles: Sequence[Refit], hopeless: bool) -> list[Refit]:
+        """All pairs of the leaders, from the given model; where no single effect comes near, on few runs first."""
+        both = pairs(singles[:LEADING], self.study.kinds)
+        if hopeless and self._from_given is not None:
+            return self._on_few(both, singles, "pairs", finish=2)
+        return self.study.refit(self.study.start, both, self._from_given, stage="pairs", finish=2)
 
     def _exchange(self, found: Found) -> None:
         """Each of several effects exchanged for those that promise most in its place: what was found first need not be

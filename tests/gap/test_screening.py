@@ -13,7 +13,7 @@ from ljjax.effects import REGISTRY
 from ljjax.gap.candidates import Trial, either_side, pilots, sizes
 from ljjax.gap.channels import Channel, Fitted, Measured
 from ljjax.gap.screening import Column, Screen, clock, waves
-from ljjax.gap.search import Study
+from ljjax.gap.search import FIRST, Study
 from ljjax.gap.selection import Selection
 
 
@@ -181,6 +181,39 @@ def test_what_a_measured_tension_does_show_hides_nothing_that_it_does_not(real):
     assert tension.joined(0.05, both) == pytest.approx(0.05 if real else 0.35)
 
 
+def test_of_many_trials_those_that_fall_behind_go_no_further():
+    trials = [Trial(("contact",), {"effects.contact.k": float(k)}) for k in range(7)]
+    asked: list[tuple[list[Any], list[Trial], int]] = []
+
+    class Told(Study):
+        def _refit(self, begun, trials, steps, iterations, stage, borrowed=None) -> list[Any]:
+            asked.append((list(begun), list(trials), iterations))
+            return [SimpleNamespace(trial=t, model=("after", t), total=-t.start["effects.contact.k"]) for t in trials]
+
+        def _begun(self, like, trial):
+            return like
+
+    any_: Any = SimpleNamespace(base_jacobian=np.zeros((2, 1, 4)))
+    found = Told(any_, ("a",), [REGISTRY["contact"]], (), 0.0, {}).weeded(any_, trials, any_, "few runs")
+    first, then = asked
+    assert first[1] == trials and first[2] + then[2] == FIRST
+    assert then[1] == trials[:3:-1] and then[0] == [("after", t) for t in then[1]]  # from where they had come to
+    assert [r.trial for r in found] == then[1]
+
+
+def test_pairs_are_begun_on_few_runs_where_no_effect_comes_near():
+    selection: Any = object.__new__(Selection)
+    asked: list[str] = []
+    selection.study = SimpleNamespace(kinds=list(REGISTRY.values()), start=None)
+    selection.study.refit = lambda *_, stage, finish: asked.append(stage) or ["whole"]
+    selection._on_few = lambda trials, found, stage, finish: asked.append(f"{stage}, few") or ["few"]
+    selection._from_given = SimpleNamespace()
+    singles: Any = [SimpleNamespace(ids=(i,), free_effects={}) for i in ("contact", "base_tilt")]
+    assert selection._pairs(singles, hopeless=True) == ["few"]
+    assert selection._pairs(singles, hopeless=False) == ["whole"]
+    assert asked == ["pairs, few", "pairs"]
+
+
 def test_no_gap_is_unexplained_before_every_effect_has_been_tried():
     """Of all effects the one that explains the runs is that of which the derivative promises least."""
     kinds, cause = list(REGISTRY.values()), "tendon_slack"
@@ -208,6 +241,9 @@ def test_no_gap_is_unexplained_before_every_effect_has_been_tried():
             def refit(self, like, trials, screen, steps=None, stage="", finish=1, sure=0, within=np.inf):
                 begun.update(t.ids[0] for t in trials)
                 return [refitted(t, explains) for t in trials]
+
+            def weeded(self, like, trials, screen, stage):
+                return self.refit(like, trials, screen)
 
             def taken_over(self, refits, stage, finish, further):
                 return list(refits)
