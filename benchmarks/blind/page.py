@@ -18,9 +18,10 @@ page is written by
 {command}
 ```
 
-and holds whatever came out, failures included. A share of few cases is known roughly: the interval beside it is
-Wilson's, of 95 %. The simulators' shapes are a fixed set. Robots of seeds before this one have been opened, and where
-the diagnosis missed for want of a form it was added, so expect less of shapes that nobody here has met.
+and holds whatever came out, failures included, as the code of {code} answered. A share of few cases is known
+roughly: the interval beside it is Wilson's, of 95 %. The simulators' shapes are a fixed set. Robots of seeds before
+this one have been opened, and where the diagnosis missed for want of a form it was added, so expect less of shapes that
+nobody here has met.
 
 """
 MARK = {True: "met", False: "**missed**", None: "no cases"}
@@ -29,7 +30,8 @@ RIGHT = {True: "yes", False: "**no**", None: "–"}
 
 def write(found: Mapping[str, Any], command: str, docs: Path) -> None:
     """The page, its confusion matrix and its reliability diagram into the folder `docs`."""
-    lines = [HEAD.format(count=len(found["cases"]), command=command)]
+    code = " and ".join(sorted({f"commit {r['code']}" for r in found["cases"]}))
+    lines = [HEAD.format(count=len(found["cases"]), command=command, code=code)]
     lines += _table(("goal", "asked", "reached", "95 %", "cases", ""), [_goal(r) for r in found["rows"]])
     head = ("kind (see [beside the code](../benchmarks/blind/README.md))", "cases", "first answer right")
     kinds = [(kind, str(k["cases"]), f"{k['top_right']:.3g}") for kind, k in found["by_kind"].items() if k["cases"]]

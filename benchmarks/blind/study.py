@@ -17,6 +17,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from rich.table import Table
 from benchmarks.blind import cases, figures, judge, page
 from benchmarks.blind.cases import Case
 
+ROOT = Path(__file__).parents[2]
 LIMIT_S = 3600.0
 """When a diagnosis is given up."""
 
@@ -49,11 +51,21 @@ def diagnose(case: Case, folder: Path) -> None:
         if done.returncode or not (new / "gap.json").exists():
             (new / "gap.json").unlink(missing_ok=True)
             (new / "failed.txt").write_text(f"exit code {done.returncode}\n{done.stderr}", encoding="utf-8")
-        (new / "took.json").write_text(json.dumps({"seconds": took}), encoding="utf-8")
+        (new / "took.json").write_text(json.dumps({"seconds": took, "code": code()}), encoding="utf-8")
         shutil.rmtree(answer, ignore_errors=True)
         answer.parent.mkdir(parents=True, exist_ok=True)
         shutil.copytree(new, partial := answer.with_name(f".{answer.name}.new"), dirs_exist_ok=True)
         os.replace(partial, answer)
+
+
+@cache
+def code() -> str:
+    """The commit of the code that answers, with a + where the work tree differs from it."""
+    line = ["git", "describe", "--always", "--dirty=+", "--exclude=*"]
+    try:
+        return subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
 
 
 def command(args: Sequence[str], where: Path, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
@@ -71,12 +83,13 @@ def judged(case: Case, folder: Path) -> judge.Row:
     """Open the label, replay the unseen runs through the claimed models, judge."""
     answer = folder / "answers" / case.case_id
     failed = answer / "failed.txt"
+    by = json.loads((answer / "took.json").read_text(encoding="utf-8")).get("code", "unknown")
     label = cases.read_label(folder, case, failed if failed.exists() else answer / "gap.json")
     if failed.exists():
-        return judge.judge(label, None, None)
+        return judge.judge(label, None, None) | {"code": by}
     counts = case.kind in ("effects", "mujoco") and not set(case.causes) & set(cases.HISTORY)
     errors = replayed(case, folder) if counts else None
-    return judge.judge(label, json.loads((answer / "gap.json").read_text(encoding="utf-8")), errors)
+    return judge.judge(label, json.loads((answer / "gap.json").read_text(encoding="utf-8")), errors) | {"code": by}
 
 
 def replayed(case: Case, folder: Path) -> list[float] | None:
@@ -87,7 +100,7 @@ def replayed(case: Case, folder: Path) -> list[float] | None:
         logs, models = sorted(truth.glob("*.mcap")), [answer / "base.toml", answer / "model.toml"]
         parts = [str(path.absolute()) for path in [out, *logs]] + ["--"] + [str(path.absolute()) for path in models]
         line = [sys.executable, "-m", "benchmarks.blind.replays", *parts]
-        done = subprocess.run(line, cwd=Path(__file__).parents[2], capture_output=True, text=True)
+        done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True)
         if done.returncode:
             (answer / "unseen.txt").write_text(done.stderr, encoding="utf-8")
             return None
@@ -216,7 +229,7 @@ def main() -> None:
         said = ["python -m benchmarks.blind.study", f"--seed {given.seed}", f"--cases {given.cases}"]
         said += [f"--only {given.only}"] if given.only else []
         said += ["--no-timing"] if given.no_timing else []
-        page.write(found, " ".join([*said, "--page"]), Path(__file__).parents[2] / "docs")
+        page.write(found, " ".join([*said, "--page"]), ROOT / "docs")
     show(found, Console(width=None if sys.stdout.isatty() else 170))
 
 

@@ -79,6 +79,7 @@ def test_the_scoreboard_counts_and_the_page_shows_failures(tmp_path):
         judge.judge(label("effects", "base_tilt", gap=1.0), answer("contact", "contact"), None),  # too weak to count
         judge.judge(label("parameters", gap=0.0), answer("contact", "contact"), None),
     ]
+    rows = [r | {"code": "abc1234"} for r in rows]
     quick, slow = {"ratio": 7.0, "fit_s": 1.0, "gap_s": 7.0}, {"ratio": 16.0, "fit_s": 1.0, "gap_s": 16.0}
     found = judge.scoreboard(rows, {"case-000": quick})
     by_name = {r["name"]: r for r in found["rows"]}
@@ -97,6 +98,7 @@ def test_the_scoreboard_counts_and_the_page_shows_failures(tmp_path):
     page.write(found, "make blind", tmp_path)
     text = (tmp_path / "blind.md").read_text()
     assert "| true cause ranked first | ≥ 0.90 | 0.5 | 0.09 – 0.91 | 2 | **missed** |" in text
+    assert "as the code of commit abc1234 answered" in text
     assert "| effects | 2 | 0.5 |" in text and "| parameters | 1 | 0 |" in text
     assert text.count("| **no** |") == 3
     assert (tmp_path / "blind_confusion.png").exists() and (tmp_path / "blind_reliability.png").exists()
@@ -132,7 +134,7 @@ def test_one_robot_from_the_draw_to_the_scoreboard(tmp_path, monkeypatch):
     found = study.study([case], tmp_path, 1, timing=False)
     (row,) = found["cases"]
     folder = tmp_path / "cases" / case.case_id
-    assert not row["failed"]
+    assert not row["failed"] and row["code"] == study.code()
     assert {p.name for p in folder.iterdir()} == {"logs", "model.toml", "label.sha256"}
     said = b"".join(p.read_bytes() for p in folder.rglob("*") if p.is_file())
     assert not any(cause.encode() in said for cause in case.causes)
