@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.blind import logs, magnitude, mujoco_plant, plant, seal, sensing
-from benchmarks.blind.causes import ALIKE, CAUSES, LISTED, UNLISTED, Cause, Setting, confusable, row
+from benchmarks.blind.causes import ALIKE, CAUSES, LISTED, UNLISTED, Cause, Setting, row
 from benchmarks.recovery.experiments import Experiment, plan
 from benchmarks.recovery.robots import Robot, draw
 
@@ -51,8 +51,8 @@ class Case:
         """What the command is told beside logs and model."""
         if self.kind != "without":
             return []
-        deleted = set().union(*(confusable(cause, False, False) for cause in self.causes))
-        return ["--without", *sorted(deleted)]
+        known = [group for group in ALIKE if group & set(self.causes)]
+        return ["--without", *sorted(set(self.causes).union(*known))]
 
 
 def catalogue(seed: int, kinds: tuple[str, ...] = KINDS, count: int | None = None) -> list[Case]:

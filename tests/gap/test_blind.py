@@ -72,6 +72,17 @@ def test_answers_are_judged_by_the_rules():
     assert failed["failed"] and failed["claimed"] and not failed["top_right"]
 
 
+def test_a_deleted_effect_takes_its_known_confusions_with_it():
+    def left_out(*causes: str) -> tuple[str, set[str]]:
+        first, *ids = cases.Case("case-000", "without", causes, "large", 1).flags
+        return first, set(ids)
+
+    assert left_out("contact") == ("--without", {"contact"})
+    assert left_out("actuator_delay")[1] == {"actuator_delay", "sensor_delay"}
+    assert left_out("rest_curvature")[1] == {"rest_curvature", "base_tilt", "sensor_bias"}
+    assert not cases.Case("case-000", "effects", ("contact",), "large", 1).flags
+
+
 def test_the_scoreboard_counts_and_the_page_shows_failures(tmp_path):
     rows = [
         judge.judge(label("effects", "contact"), answer("contact", "contact"), [2e-2, 2e-3]),
