@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
@@ -28,25 +28,30 @@ def tiled(kernel: Callable, arguments: Any, tile: int) -> Any:
         return jax.tree.map(np.asarray, kernel(*jax.tree.map(lambda x: np.ascontiguousarray(x[..., i]), arguments)))
 
     form = (getattr(kernel, "func", kernel), getattr(kernel, "args", ()), jax.tree.structure(arguments))
-    shapes = (*form, *(x.shape[:-1] for x in leaves))
-    parts = []
-    if shapes not in _ready:  # compile once, not in every thread
-        with uncollected():
-            parts = [work(index[0])]
-        _ready.add(shapes)
-    if len(index) == 1:
-        parts = parts or [work(index[0])]
-    else:
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            parts += pool.map(work, index[len(parts) :])
+    parts = on_all_cores(work, index, (*form, *(x.shape[:-1] for x in leaves)))
     return jax.tree.map(lambda *x: np.concatenate(x, axis=-1)[..., :count], *parts)
+
+
+def on_all_cores(work: Callable[[Any], Any], items: Sequence[Any], form: Any) -> list[Any]:
+    """Work on items that run one program, known by `form`: the first by itself where it is new, so that it is compiled
+    once and not in every thread."""
+    done = []
+    if form not in _ready:
+        with _uncollected():
+            done = [work(items[0])]
+        _ready.add(form)
+    rest = items[len(done) :]
+    if len(rest) < 2:
+        return done + [work(item) for item in rest]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return done + list(pool.map(work, rest))
 
 
 _ready: set[Any] = set()
 
 
 @contextlib.contextmanager
-def uncollected() -> Iterator[None]:
+def _uncollected() -> Iterator[None]:
     """Without the garbage collector, which takes a quarter of the time of tracing, and finds nothing."""
     collecting = gc.isenabled()
     gc.disable()

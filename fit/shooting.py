@@ -10,9 +10,7 @@ in step, so that their windows fill one batch.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar
@@ -20,7 +18,7 @@ from typing import Any, TypeVar
 import jax
 import numpy as np
 
-from ljjax.fit.kernel import balance, onward, shoot, tiled, uncollected
+from ljjax.fit.kernel import balance, on_all_cores, onward, shoot, tiled
 from ljjax.fit.samples import Samples, derivatives
 from ljjax.fit.windows import Windows
 from ljjax.model import Model
@@ -171,10 +169,7 @@ class _Batch:
         self.count = [len(r.windows) for r in requests]
         self.of = np.repeat(np.arange(len(requests)), self.count)
         self.model = jax.tree.map(lambda *x: np.array(x, float), *(r.model for r in requests))
-        self.slopes = jax.tree.map(
-            partial(_padded_to, width + 1),
-            *(r.slopes for r in requests),
-        )
+        self.slopes = jax.tree.map(partial(_padded_to, width + 1), *(r.slopes for r in requests))
         self.drive = jax.tree.map(
             lambda *x: np.concatenate(x, axis=-1), *(_drive(r.windows, r.model) for r in requests)
         )
@@ -279,19 +274,9 @@ def _onward(requests: Sequence[Request], width: int, joints: bool) -> list[Answe
                 samples[i].read(at[mine] - first[i], *jax.tree.map(lambda x, mine=mine: x[..., mine], paths))
             real, at = real & (at < until), np.minimum(at + 1, until)
 
-    begins = range(0, len(opens), NARROW)
-    form = jax.tree.structure(batch.model), joints, width, len(batch.q)
-    if form not in _ready:  # compile once, not in every thread
-        with uncollected():
-            tile(0)
-        _ready.add(form)
-        begins = begins[1:]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(tile, begins))
+    form = "onward", jax.tree.structure(batch.model), joints, width, len(batch.q)
+    on_all_cores(tile, range(0, len(opens), NARROW), form)
     return [Answer(s.predicted, s.jacobian) for s in samples]
-
-
-_ready: set[Any] = set()
 
 
 jax.tree_util.register_dataclass(Starts, ["state", "slope"], [])

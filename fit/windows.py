@@ -179,6 +179,7 @@ class Windows:
 
     @cached_property
     def order(self) -> tuple[np.ndarray, np.ndarray]:
+        """`order_of` the samples' own windows."""
         return self.order_of(self.window)
 
     @cached_property
