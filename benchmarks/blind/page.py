@@ -1,18 +1,25 @@
-"""docs/blind.md and its pictures, from a scoreboard."""
+"""docs/blind.md and its pictures, from the answers kept in answered.json: `python -m benchmarks.blind.page`.
+
+Answers of several seeds count together, as long as the same diagnosis gave them: after a change to it begin anew, by
+deleting answered.json.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.blind import figures
+from benchmarks.blind import figures, judge
 
+KEPT = Path(__file__).with_name("answered.json")
+DOCS = Path(__file__).parents[2] / "docs"
 HEAD = """# The blind check
 
 How well `ljjax gap` names causes, on {count} robots from two simulators that share no code with ljjax. What is planted,
-how the labels are sealed and how answers are judged is told [beside the code](../benchmarks/blind/README.md). This
-page is written by
+how the labels are sealed and how answers are judged is told [beside the code](../benchmarks/blind/README.md), as is
+the score of earlier seeds. This page is written by
 
 ```sh
 {command}
@@ -28,8 +35,21 @@ MARK = {True: "met", False: "**missed**", None: "no cases"}
 RIGHT = {True: "yes", False: "**no**", None: "–"}
 
 
-def write(found: Mapping[str, Any], command: str, docs: Path) -> None:
+def keep(found: Mapping[str, Any], command: str, kept: Path = KEPT) -> None:
+    """Add the answers of one seed, in the place of earlier ones of it, to the file `kept`, one a line."""
+    new = [
+        {"seed": found["seed"], "command": command, "timing": found["timing"].get(row["case"]), **row}
+        for row in found["cases"]
+    ]
+    rows = [row for row in _rows(kept) if row["seed"] != found["seed"]] + new
+    kept.write_text("[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n", encoding="utf-8")
+
+
+def write(kept: Path = KEPT, docs: Path = DOCS) -> None:
     """The page, its confusion matrix and its reliability diagram into the folder `docs`."""
+    rows = _rows(kept)
+    found = judge.scoreboard(rows, {f"{r['seed']}-{r['case']}": r["timing"] for r in rows if r["timing"]})
+    command = "\n".join(dict.fromkeys(r["command"] for r in rows))
     code = " and ".join(sorted({f"commit {r['code']}" for r in found["cases"]}))
     lines = [HEAD.format(count=len(found["cases"]), command=command, code=code)]
     lines += _table(("goal", "asked", "reached", "95 %", "cases", ""), [_goal(r) for r in found["rows"]])
@@ -51,6 +71,10 @@ def write(found: Mapping[str, Any], command: str, docs: Path) -> None:
     head = ("planted", "gap ÷ noise", "verdict", "first", "selected", "right", "closed")
     lines += _table(head, [_case(r) for r in found["cases"]])
     (docs / "blind.md").write_text("".join(lines).rstrip() + "\n", encoding="utf-8")
+
+
+def _rows(kept: Path) -> list[dict[str, Any]]:
+    return json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else []
 
 
 def wilson(share: float, count: int) -> tuple[float, float]:
@@ -83,3 +107,7 @@ def _case(r: Mapping[str, Any]) -> list[str]:
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     lines = [head, ["---"] * len(head), *rows]
     return ["| " + " | ".join(line) + " |\n" for line in lines] + ["\n"]
+
+
+if __name__ == "__main__":
+    write()

@@ -200,7 +200,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-timing", action="store_true", help="leave out the comparison with the time of ljjax fit")
     parser.add_argument("--time", default="", metavar="CASE,…", help="do nothing but that comparison, for these cases")
-    parser.add_argument("--page", action="store_true", help="write docs/blind.md and its pictures too")
+    parser.add_argument("--page", action="store_true", help="keep the answers, and write docs/blind.md from all kept")
     given = parser.parse_args()
     if "small" in (given.cases, given.only):
         chosen = cases.small_set(given.seed)
@@ -229,7 +229,8 @@ def main() -> None:
         said = ["python -m benchmarks.blind.study", f"--seed {given.seed}", f"--cases {given.cases}"]
         said += [f"--only {given.only}"] if given.only else []
         said += ["--no-timing"] if given.no_timing else []
-        page.write(found, " ".join([*said, "--page"]), ROOT / "docs")
+        page.keep(found, " ".join([*said, "--page"]))
+        page.write()
     show(found, Console(width=None if sys.stdout.isatty() else 170))
 
 

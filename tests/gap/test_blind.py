@@ -90,7 +90,7 @@ def test_the_scoreboard_counts_and_the_page_shows_failures(tmp_path):
         judge.judge(label("effects", "base_tilt", gap=1.0), answer("contact", "contact"), None),  # too weak to count
         judge.judge(label("parameters", gap=0.0), answer("contact", "contact"), None),
     ]
-    rows = [r | {"code": "abc1234"} for r in rows]
+    rows = [r | {"code": "abc1234", "case": f"case-{i:03d}"} for i, r in enumerate(rows)]
     quick, slow = {"ratio": 7.0, "fit_s": 1.0, "gap_s": 7.0}, {"ratio": 16.0, "fit_s": 1.0, "gap_s": 16.0}
     found = judge.scoreboard(rows, {"case-000": quick})
     by_name = {r["name"]: r for r in found["rows"]}
@@ -106,13 +106,27 @@ def test_the_scoreboard_counts_and_the_page_shows_failures(tmp_path):
     # three answers of 0.9 in one bin: the mean of |k/3 - 0.9| over the binomial k of true probabilities
     chance = sum(w * abs(k / 3 - 0.9) for k, w in enumerate((0.001, 0.027, 0.243, 0.729)))
     assert found["calibration"]["by_chance"] == pytest.approx(chance, rel=0.1)
-    page.write(found, "make blind", tmp_path)
+    kept = tmp_path / "answered.json"
+    page.keep(found | {"seed": 1}, "make blind", kept)
+    page.write(kept, tmp_path)
     text = (tmp_path / "blind.md").read_text()
     assert "| true cause ranked first | ≥ 0.90 | 0.5 | 0.09 – 0.91 | 2 | **missed** |" in text
     assert "as the code of commit abc1234 answered" in text
     assert "| effects | 2 | 0.5 |" in text and "| parameters | 1 | 0 |" in text
     assert text.count("| **no** |") == 3
     assert (tmp_path / "blind_confusion.png").exists() and (tmp_path / "blind_reliability.png").exists()
+    # another seed counts beside it, the same one again in its place
+    for _ in range(2):
+        page.keep(judge.scoreboard(rows[:1], {"case-000": slow}) | {"seed": 2}, "make blind SEED=2", kept)
+    page.write(kept, tmp_path)
+    text = (tmp_path / "blind.md").read_text()
+    assert "| true cause ranked first | ≥ 0.90 | 0.667 | 0.21 – 0.94 | 3 | **missed** |" in text
+    assert "| ≤ 15 | 16 |  | 2 | **missed** |" in text and "make blind\nmake blind SEED=2\n" in text
+
+
+def test_the_published_page_is_what_the_kept_answers_give(tmp_path):
+    page.write(docs=tmp_path)
+    assert (tmp_path / "blind.md").read_text(encoding="utf-8") == (page.DOCS / "blind.md").read_text(encoding="utf-8")
 
 
 def test_every_shape_of_every_cause_changes_what_the_camera_sees():
