@@ -41,12 +41,16 @@ VENT_S, VENTED_KPA = 0.3, 0.5
 class PressureLeak(Effect):
     """The sheath holds less vacuum than the gauge, the more the longer it is held: P = (1 − L f) P_line, f rising to 1
     with the time constant τ while there is a vacuum, and back to 0 soon after it is vented; and a share h of what it
-    lacks follows the line's vacuum that late, P = (P_line − L D)₊ with τḊ = P_line − D."""
+    lacks follows the line's vacuum that late, P = (P_line − L D)₊ with τḊ = P_line − D. A share b of
+    the leak may be at folds that open with the bend: f then goes to 1 − b + b q²/(q² + w²), q² the joints' mean, and
+    b q²/(q² + w²) when vented."""
 
     id, block, axes = "pressure_leak", "jamming", ("pressure", "time")
     share: jax.Array = parameter("1", 0.0, 0.0, 0.95, 0.15)
     tau_s: jax.Array = shape("s", 5.0, 0.05, 200.0, (1.5, 5.0, 20.0))
-    held: jax.Array = shape("1", 0.5, 0.0, 1.0, (0.0, 1.0))
+    held: jax.Array = shape("1", 0.5, 0.0, 1.0, (1.0, 0.0))
+    of_bend: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    open_rad: jax.Array = shape("rad", 0.15, 0.01, 2.0, (0.4,), "angle")
 
     def start(self, now):
         return 0.0 * now.vacuum, 0.0 * now.vacuum
@@ -54,8 +58,10 @@ class PressureLeak(Effect):
     def evacuate(self, memory, vacuum, now):
         leaked, lacking = memory
         held = vacuum > VENTED_KPA
-        goal = jnp.where(held, 1.0 + 0.0 * vacuum, 0.0 * vacuum)
-        tau = jnp.where(held, self.tau_s, VENT_S + 0.0 * self.tau_s)
+        bend = sum(q * q for q in now.middle) / len(now.middle)
+        folds = bend / (bend + self.open_rad * self.open_rad)
+        goal = jnp.where(held, 1.0 - self.of_bend, 0.0 * vacuum) + self.of_bend * folds
+        tau = jnp.where(held, self.tau_s, VENT_S + self.of_bend * (self.tau_s - VENT_S))
         part, leaked = lagged(goal, leaked, tau, now.h)
         late, lacking = lagged(vacuum, lacking, tau, now.h)
         return positive(vacuum - self.share * ((1 - self.held) * vacuum * part + self.held * late)), (leaked, lacking)
@@ -79,30 +85,32 @@ class PressureBias(Effect):
 
 
 class StiffnessSaturation(Effect):
-    """α₂ saturates with the vacuum: α₂ + a Pⁿ/(Pⁿ + p₀ⁿ) on top of the polynomial, whose own slope is fitted too; n > 1
-    where the layers must first be drawn together."""
+    """α₂ saturates with the vacuum: α₂ + a y/(1 + yᵐ)^(1/m), y = (P/p₀)ⁿ, on top of the polynomial, whose own slope is
+    fitted too; n > 1 where the layers must first be drawn together, m > 1 where it bends the sharper."""
 
     id, block, axes = "stiffness_saturation", "jamming", ("pressure", "angle")
     rise: jax.Array = parameter("N·m/rad", 0.0, -20.0, 20.0, 0.5)
     knee_kpa: jax.Array = shape("kPa", 5.0, 0.3, 60.0, (2.0, 6.0, 18.0))
     order: jax.Array = shape("1", 1.0, 0.5, 8.0, (3.0, 1.0))
+    edge: jax.Array = shape("1", 1.0, 0.5, 8.0, (3.0, 1.0))
 
     def alpha2(self, memory, alpha2, now):
-        more = self.rise * saturated(now.vacuum, self.knee_kpa, self.order)
+        more = self.rise * saturated(now.vacuum, self.knee_kpa, self.order, self.edge)
         return tuple(a + more for a in alpha2)
 
 
 class FrictionSaturation(Effect):
-    """φ saturates with the vacuum: φ + a Pⁿ/(Pⁿ + p₀ⁿ) on top of the square root, whose own slope is fitted too; n > 1
-    where the layers must first be drawn together."""
+    """φ saturates with the vacuum: φ + a y/(1 + yᵐ)^(1/m), y = (P/p₀)ⁿ, on top of the square root, whose own slope is
+    fitted too; n > 1 where the layers must first be drawn together, m > 1 where it bends the sharper."""
 
     id, block, axes = "friction_saturation", "jamming", ("pressure", "direction")
     rise: jax.Array = parameter("N·m", 0.0, -100.0, 200.0, 3.0)
     knee_kpa: jax.Array = shape("kPa", 8.0, 0.3, 60.0, (2.0, 6.0, 18.0))
     order: jax.Array = shape("1", 1.0, 0.5, 8.0, (3.0, 1.0))
+    edge: jax.Array = shape("1", 1.0, 0.5, 8.0, (3.0, 1.0))
 
     def phi(self, memory, phi, now):
-        more = self.rise * saturated(now.vacuum, self.knee_kpa, self.order)
+        more = self.rise * saturated(now.vacuum, self.knee_kpa, self.order, self.edge)
         return tuple(p + more for p in phi)
 
 

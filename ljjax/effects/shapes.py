@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -27,11 +26,12 @@ def power(x: Array, one: float, exponent: Array) -> Array:
     return jnp.exp(0.5 * exponent * jnp.log((x / one) ** 2 + 1e-6))
 
 
-def saturated(x: Array, knee: Array, order: Array) -> Array:
-    """xⁿ/(xⁿ + kneeⁿ) for x > 0, 0 below."""
+def saturated(x: Array, knee: Array, order: Array, edge: Array) -> Array:
+    """y/(1 + y^edge)^(1/edge), y = (x/knee)^n, for x > 0, 0 below: Hill's curve for an edge of 1, and for larger ones
+    y up to the knee and 1 beyond it."""
     some = x > 0
-    over = jnp.log(jnp.where(some, x, 1.0 + 0.0 * x) / knee)
-    return jnp.where(some, jax.nn.sigmoid(order * over), 0.0 * x)
+    log_y = order * jnp.log(jnp.where(some, x, 1.0 + 0.0 * x) / knee)
+    return jnp.where(some, jnp.exp(log_y - jnp.logaddexp(0.0 * log_y, edge * log_y) / edge), 0.0 * x)
 
 
 def bounded(x: Array, limit: Array, edge: Array) -> Array:

@@ -172,6 +172,22 @@ def test_a_sheath_fills_behind_its_line():
         np.testing.assert_allclose(apart, 20.0 * left, atol=0.02)
 
 
+def test_a_leak_may_be_at_folds_that_open_with_the_bend():
+    """Nothing is lost while the body is straight, with a time constant half of the share where q = w."""
+    kind: Any = REGISTRY["pressure_leak"]
+    leak, line = kind(share=0.4, tau_s=0.5, held=0.0, of_bend=1.0, open_rad=0.2), jnp.asarray(20.0)
+
+    def held(bend: float, seconds: float) -> float:
+        now: Any = SimpleNamespace(vacuum=line, h=jnp.asarray(1e-3), middle=(jnp.asarray(bend), jnp.asarray(-bend)))
+        memory, vacuum = leak.start(now), line
+        for _ in range(round(seconds / 1e-3)):
+            vacuum, memory = leak.evacuate(memory, line, now)
+        return float(vacuum)
+
+    assert held(0.0, 0.2) == pytest.approx(20.0)
+    assert held(0.2, 0.5) == pytest.approx(20.0 * (1 - 0.2 * (1 - np.exp(-1))), rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("effect", "values"),
     [("viscoelastic_creep", {"stiffness": 1.0}), ("stiffness_hardening", {"cubic": 50.0}),
@@ -354,14 +370,16 @@ def test_saturation_may_want_a_vacuum_first(effect, hook):
     """aPⁿ/(Pⁿ + p₀ⁿ): half at the knee; of third order an eighth of the first order's slope below it, none at 0."""
     kind: Any = REGISTRY[effect]
 
-    def more(order: float, vacuum: float) -> float:
+    def more(order: float, vacuum: float, edge: float = 1.0) -> float:
         now: Any = SimpleNamespace(vacuum=jnp.asarray(vacuum))
-        law = kind(rise=2.0, knee_kpa=8.0, order=order)
+        law = kind(rise=2.0, knee_kpa=8.0, order=order, edge=edge)
         return float(getattr(law, hook)((), (jnp.asarray(1.0),), now)[0]) - 1
 
     for order in (1.0, 3.0):
         assert [more(order, p) for p in (0.0, 8.0, 8e6)] == pytest.approx([0.0, 1.0, 2.0], abs=1e-4)
     assert more(1.0, 4.0) == pytest.approx(2 / 3) and more(3.0, 4.0) == pytest.approx(2 / 9)
+    sharp = [more(1.0, p, edge=3.0) for p in (0.0, 4.0, 8.0, 8e6)]
+    assert sharp == pytest.approx([0.0, 1 / np.cbrt(1 + 1 / 8), 2 / np.cbrt(2), 2.0], abs=1e-4)
 
 
 def test_a_motors_limit_folds_back_while_it_carries():
