@@ -235,9 +235,6 @@ class Selection:
             more = self._further(found.best) if share < NOTABLE else []
             if len(found.best.ids) == 1 and share > PAIRS:
                 more += self._pairs(list(left.values()), hopeless=share > OFF)
-            if not any(judge.pairs_worth(share, self.left(r), unit) for r in more):  # on the way, maybe
-                some = sorted((r for r in more if self.left(r) < NOTABLE * share), key=self.left)
-                more += self._anew(some[:ANEW]) if some else []
             for r in more:
                 key = tuple(sorted(r.ids))
                 if key not in found.joint or r.total < found.joint[key].total:

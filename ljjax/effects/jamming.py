@@ -41,8 +41,8 @@ VENT_S, VENTED_KPA = 0.3, 0.5
 class PressureLeak(Effect):
     """The sheath holds less vacuum than the gauge, the more the longer it is held: P = (1 − L f) P_line, f rising to 1
     with the time constant τ while there is a vacuum, and back to 0 soon after it is vented; and a share h of what it
-    lacks follows the line's vacuum that late, P = (P_line − L D)₊ with τḊ = P_line − D. A share b of
-    the leak may be at folds that open with the bend: f then goes to 1 − b + b q²/(q² + w²), q² the joints' mean, and
+    lacks follows the line's vacuum that late, P = (P_line − L D)₊ with τḊ = P_line − D. A share b of the
+    leak may be at folds that open with the bend: f then goes to 1 − b + b q²/(q² + w²), q² the joints' mean, and
     b q²/(q² + w²) when vented."""
 
     id, block, axes = "pressure_leak", "jamming", ("pressure", "time")
