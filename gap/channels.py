@@ -238,7 +238,7 @@ def _channel(name: str, signal: str, motions: Sequence[Motion], kinds: Sequence[
     channel = Channel(name, rms, noise, {}, {}, inputs.error, inside)
     if rms > SPEAKS * noise:
         top = max(float(m.tendons.max()) for m in motions)
-        scale = {"tension": top, "angle": 1.0, "": 1.0}
+        scale = {"tension": top, "angle": 1.0, "slip": 1.0, "": 1.0}
         waves = inputs.waves(base)
         found = {k.id: _explained(k, channel, pilots(k, scale, waves)) for k in kinds}
         left = {i: channel.leaves(rms) for i, (rms, _) in found.items()}

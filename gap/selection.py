@@ -232,7 +232,7 @@ class Selection:
             share = self.left(found.best)
             if share < max(FURTHER, 15 * unit):
                 break
-            more = self._further(found.best) if share < NOTABLE else []
+            more = self._further(found.best, unit) if share < NOTABLE else []
             if len(found.best.ids) == 1 and share > PAIRS:
                 more += self._pairs(list(left.values()), hopeless=share > OFF)
             for r in more:
@@ -250,12 +250,17 @@ class Selection:
             self._exchange(found)
         return found
 
-    def _further(self, best: Refit) -> list[Refit]:
-        """What promises most on top of the best so far, refitted with it."""
+    def _further(self, best: Refit, unit: float) -> list[Refit]:
+        """What promises most on top of the best so far, refitted with it; begun anew where none of it is worth having,
+        as the best had to do the others' part, and may have gone where they cannot bring it back from."""
         on_top = self.study.screen(best)
         steps = self._begun(on_top, self._ahead(on_top, SECOND), best)
         trials = [*steps, *self._heard(best)]
-        return self.study.refit(best.model, trials, on_top, steps, stage="several effects", finish=2, sure=1)
+        more = self.study.refit(best.model, trials, on_top, steps, stage="several effects", finish=2, sure=1)
+        if any(judge.pairs_worth(self.left(best), self.left(r), unit) for r in more):
+            return more
+        promised = [r for r in more if r.trial is trials[0]]
+        return more + self._anew(list(dict.fromkeys([*promised, *sorted(more, key=self.left)]))[:ANEW])
 
     def _pairs(self, singles: Sequence[Refit], hopeless: bool) -> list[Refit]:
         """All pairs of the leaders, from the given model; where no single effect comes near, on few runs first."""

@@ -148,6 +148,46 @@ class InWaves(Effect):
         return tuple(x - wave(bend, *terms) for x, bend in zip(load, bends, strict=True))
 
 
+class AtOnce(Effect):
+    """What changes once and for all at one moment of the session, told by the slip of the mean joint so far: a layer
+    that comes loose, a tendon off its way, a marker that has moved."""
+
+    id, block = "stand_in_body_all_at_once", "structure"
+    elastic: jax.Array = _share()
+    friction: jax.Array = _share()
+    held: jax.Array = _torque()
+    uneven: jax.Array = _share()
+    moved: jax.Array = _share(0.05)
+    slip_rad: jax.Array = shape("rad", 10.0, 1e-3, 1e5, tuple((k + 0.5) / 30 for k in range(30)), "slip")
+    width_rad: jax.Array = shape("rad", 0.1, 1e-4, 1e4, (0.01,), "slip")
+
+    def start(self, now):
+        return (now.worn,)
+
+    def _over(self, memory):
+        return 0.5 + 0.5 * jnp.tanh((memory[0] - self.slip_rad) / self.width_rad)
+
+    def actuate(self, memory, u, now):
+        more = self.uneven * self._over(memory)
+        return (u[0] * (1 + more), u[1] * (1 - more)), memory
+
+    def alpha2(self, memory, alpha2, now):
+        return tuple(a * (1 + self.elastic * self._over(memory)) for a in alpha2)
+
+    def phi(self, memory, phi, now):
+        return tuple(p * (1 + self.friction * self._over(memory)) for p in phi)
+
+    def load(self, memory, load, now):
+        return tuple(x + self.held * self._over(memory) for x in load)
+
+    def remember(self, memory, now, after):
+        moved = sum(jnp.abs(b - a) for a, b in zip(now.q, after.q, strict=True))
+        return (memory[0] + moved / len(now.q),)
+
+    def sense(self, memory, y, now):
+        return tuple(x + BENT_RAD * self.moved * self._over(memory) for x in y), memory
+
+
 class AtFriction(Effect):
     """The friction's scale over bend, direction, vacuum, load and time, and torques of the rate beside it."""
 
@@ -210,7 +250,7 @@ class AtSensor(Effect):
 
 
 STAND_INS: tuple[type[Effect], ...] = (AtTendons, AtVacuum, AtBody, AtFriction, AtSensor)
-QUICK: tuple[type[Effect], ...] = (InWaves,)
+QUICK: tuple[type[Effect], ...] = (InWaves, AtOnce)
 """Of few terms: asked even where the effects found leave little."""
 PLACES = {k.id: k.id.removeprefix("stand_in_").replace("_", " ") for k in (*STAND_INS, *QUICK)}
 BLOCKS = {PLACES[k.id]: k.block for k in (*STAND_INS, *QUICK)}
@@ -219,8 +259,8 @@ FINISH = 3
 
 
 def stand_in(study: Study, base: Refit, kinds: Sequence[type[Effect]] = STAND_INS) -> dict[str, Refit]:
-    """The base of a study refitted with each stand-in of `kinds`, by its place in `PLACES`. Those that fail are left
-    out."""
+    """The base of a study refitted with each stand-in of `kinds`, by its place in `PLACES`; those of `QUICK` begun at
+    the given model too, as the base may have gone where they cannot bring it back from. Those that fail are left out."""
     flexible = dataclasses.replace(study, kinds=kinds)
     screen = flexible.screen(base)
     trials, steps = [], {}
@@ -230,4 +270,6 @@ def stand_in(study: Study, base: Refit, kinds: Sequence[type[Effect]] = STAND_IN
         trials.append(trial)
         steps[trial] = CAUTIOUS * step
     found = flexible.refit(base.model, trials, screen, steps, "stand-ins", finish=FINISH)
-    return {PLACES[r.ids[0]]: r for r in found}
+    quick = [t for t in trials if t.ids[0] in {k.id for k in QUICK}]
+    found += flexible.refit(study.start, quick, None, stage="stand-ins from the given model", finish=FINISH)
+    return {PLACES[r.ids[0]]: r for r in sorted(found, key=lambda r: -r.total)}

@@ -14,7 +14,7 @@ from ljjax.effect import Effect
 from ljjax.effects.jamming import PressureLag
 from ljjax.fit.run import prepared
 from ljjax.gap.answer import _pointed
-from ljjax.gap.data import span
+from ljjax.gap.data import in_order, span
 from ljjax.gap.judge import Evidence
 from ljjax.gap.search import Refit, Study
 from ljjax.gap.stand_ins import BLOCKS, PLACES, QUICK, STAND_INS, stand_in
@@ -38,12 +38,23 @@ class Snapping(Effect):
         return tuple(x - 0.01 * jnp.sin(p) / (1.4 - jnp.cos(p)) for x, p in zip(load, phase, strict=True))
 
 
-def study_of(effect: Effect) -> Study:
-    """Of three runs of a robot with this effect."""
-    model, start = dataclasses.replace(robot(), effects=(effect,)), guess(robot())
-    case = prepared(start, "nominal.toml", [logged(model, s) for s in range(3)], (), start.frozen, "commands")
+class Loosened(Effect):
+    """Less elastic than it was."""
+
+    id, block = "loosened", "structure"
+
+    def alpha2(self, memory, alpha2, now):
+        return tuple(0.6 * a for a in alpha2)
+
+
+def study_of(*effects: Effect | None) -> Study:
+    """Of three runs of a robot with an effect, or of one that each run begins with."""
+    models = [dataclasses.replace(robot(), effects=() if e is None else (e,)) for e in effects]
+    start = guess(robot())
+    logs = [logged(models[s % len(models)], s) for s in range(3)]
+    case = prepared(start, "nominal.toml", logs, (), start.frozen, "commands")
     assert not isinstance(case, list)
-    runs, c = case.problem.motions, case.problem.coordinates
+    runs, c = in_order(case.problem.motions), case.problem.coordinates
     return Study(start.model, c.names, STAND_INS, runs, c.pressure, span(runs), start.bounds, start.priors)
 
 
@@ -74,6 +85,13 @@ def test_a_body_that_snaps_is_met_by_waves_of_its_own_bend():
     base = study.base()
     left = leftovers(study, base, stand_in(study, base, QUICK))
     assert left["body in waves"] < 0.3
+
+
+def test_a_layer_that_comes_loose_is_met_by_a_change_all_at_once():
+    study = study_of(None, Loosened(), Loosened())
+    base = study.base()
+    left = leftovers(study, base, stand_in(study, base, QUICK))
+    assert left["body all at once"] < 0.1 < left["body in waves"]
 
 
 @pytest.mark.parametrize(
