@@ -260,7 +260,8 @@ FINISH = 3
 
 def stand_in(study: Study, base: Refit, kinds: Sequence[type[Effect]] = STAND_INS) -> dict[str, Refit]:
     """The base of a study refitted with each stand-in of `kinds`, by its place in `PLACES`; those of `QUICK` begun at
-    the given model too, as the base may have gone where they cannot bring it back from. Those that fail are left out."""
+    the given model too, as the base may have gone where they cannot bring it back from. Those that fail are left out.
+    """
     flexible = dataclasses.replace(study, kinds=kinds)
     screen = flexible.screen(base)
     trials, steps = [], {}

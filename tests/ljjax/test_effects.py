@@ -188,6 +188,20 @@ def test_a_leak_may_be_at_folds_that_open_with_the_bend():
     assert held(0.2, 0.5) == pytest.approx(20.0 * (1 - 0.2 * (1 - np.exp(-1))), rel=1e-3)
 
 
+def test_a_damped_obstacle_is_stable_at_long_steps_and_holds_what_runs_into_it(robot):
+    """A dashpot far heavier than a step of 10 ms would bear if it were not solved for with the rates."""
+
+    def theta(step_s: float, **values: float) -> np.ndarray:
+        contact: Any = REGISTRY["contact"]
+        model = dataclasses.replace(robot(6), effects=(contact(angle_rad=0.02, **values),))
+        return np.asarray(simulate(model, drive(), at=jnp.asarray(AT), step_s=step_s).theta)
+
+    coarse, fine = (theta(h, obstacle=3000.0, damping_s=0.5) for h in (0.01, 0.001))
+    assert np.abs(coarse - fine).max() < 0.05 * np.ptp(fine)
+    springy, damped = (theta(0.0025, obstacle=30.0, damping_s=tau).max() for tau in (0.0, 0.1))
+    assert 0.02 < damped < springy - 0.003
+
+
 @pytest.mark.parametrize(
     ("effect", "values"),
     [("viscoelastic_creep", {"stiffness": 1.0}), ("stiffness_hardening", {"cubic": 50.0}),
