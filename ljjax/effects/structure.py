@@ -210,51 +210,44 @@ class NonuniformStiffness(Effect):
         return tuple(a + d * x for a, x, d in zip(alpha2, parts, along(modes, len(alpha2)), strict=True))
 
 
-FULL_M, FULL_RAD = 1e-3, 2e-3
-"""How far into an obstacle, or an end stop, about half of its damping is felt."""
+CREEP_M_S = 1e-3
+"""How fast the tip slides along an obstacle where it is held by 0.7 of its friction."""
 
 
 class Contact(Effect):
-    """One-sided contact, on the side the angle q_c says: an end stop k_c (x + τ ẋ)₊, x = (q − q_c)₊, in every joint,
-    and an obstacle beside the tip, where it is when every joint is at q_c, that pushes back with k_t (x + τ ẋ)₊, x the
-    way beyond it. They only push; the damping begins with the way into them, as x/(x + x₀)."""
+    """One-sided contact, on the side the angle q_c says: an end stop k_c (q − q_c)₊ in every joint, and an obstacle
+    beside the tip, where it is when every joint is at q_c, that pushes back with k_t times the way beyond it and rubs
+    with μ times that, along the unbent body."""
 
     id, block, axes = "contact", "structure", ("angle",)
     stop: jax.Array = parameter("N·m/rad", 0.0, 0.0, 500.0, 3.0)
     obstacle: jax.Array = parameter("N/m", 0.0, 0.0, 3000.0, 10.0)
     angle_rad: jax.Array = shape("rad", 0.1, -2.0, 2.0, (0.35, -0.35, 0.7, -0.7), "angle")
-    damping_s: jax.Array = shape("s", 0.02, 0.0, 0.5, (0.02,))
-
-    def _side(self) -> jax.Array:
-        return jnp.where(self.angle_rad < 0, -1.0 + 0.0 * self.angle_rad, 1.0 + 0.0 * self.angle_rad)
+    rough: jax.Array = shape("1", 0.4, 0.0, 2.0, (0.4,))
 
     def torque(self, memory, i, q, v, stage):
-        side = self._side()
-        x = positive(side * (q - self.angle_rad))
-        return self.stop * side * positive(x + self.damping_s * x / (x + FULL_RAD) * side * v)
+        side = jnp.where(self.angle_rad < 0, -1.0 + 0.0 * q, 1.0 + 0.0 * q)
+        return self.stop * side * positive(side * (q - self.angle_rad))
 
-    def _obstacle(self, now: Now) -> tuple[Array, Array, Vector]:
-        """The spring's force [N], the damping felt [N·s/m], and how far each joint moves the tip across [m]."""
+    def _obstacle(self, now: Now) -> tuple[Array, Vector, Array, Vector]:
+        """The obstacle's force [N] and how far each joint moves the tip towards it [m]; how heavily it damps what goes
+        along the unbent body [N·s/m], and how far each joint moves the tip there [m]."""
         n, length = len(now.middle), now.model.chain.half_length_m
         across, along = _ends(now)
         at = sum((2.0 if i < n - 1 else 1.0) * jnp.sin((i + 1) * self.angle_rad) for i in range(n)) * length
-        side = self._side()
-        x = positive(side * (across[0] - at))
-        lag = self.damping_s * x / (x + FULL_M)
-        rate = sum(a * v for a, v in zip(along, now.v, strict=True))
-        pushes = x + lag * side * rate > 0
-        none = 0.0 * x
-        return self.obstacle * side * jnp.where(pushes, x, none), self.obstacle * jnp.where(pushes, lag, none), along
+        side = jnp.where(self.angle_rad < 0, -1.0 + 0.0 * at, 1.0 + 0.0 * at)
+        force = self.obstacle * positive(side * (across[0] - at))
+        slides = sum(a * v for a, v in zip(across, now.v, strict=True))
+        return side * force, along, self.rough * force / jnp.sqrt(slides * slides + CREEP_M_S**2), across
 
     def load(self, memory, load, now):
-        force, damping, along = self._obstacle(now)
-        force = force + damping * sum(a * v for a, v in zip(along, now.v, strict=True))
-        return tuple(x - force * a for x, a in zip(load, along, strict=True))
+        force, along, rubs, across = self._obstacle(now)
+        more = rubs * sum(a * v for a, v in zip(across, now.v, strict=True))
+        return tuple(x - force * a - more * b for x, a, b in zip(load, along, across, strict=True))
 
     def inertia(self, m, now):
-        """What the damping's force becomes by the step's end, as inertia h c aᵀa: it is solved for with the rates, so
-        that no damping is too heavy for the step."""
-        _, damping, along = self._obstacle(now)
-        return tuple(
-            tuple(e + now.h * damping * along[i] * along[k] for k, e in enumerate(row)) for i, row in enumerate(m)
-        )
+        """What friction becomes by the step's end, as inertia h c aᵀa: it is solved for with the rates, so that a tip
+        that sticks is not too much for the step."""
+        _, _, rubs, across = self._obstacle(now)
+        more = now.h * rubs
+        return tuple(tuple(e + more * across[i] * across[k] for k, e in enumerate(row)) for i, row in enumerate(m))

@@ -188,18 +188,31 @@ def test_a_leak_may_be_at_folds_that_open_with_the_bend():
     assert held(0.2, 0.5) == pytest.approx(20.0 * (1 - 0.2 * (1 - np.exp(-1))), rel=1e-3)
 
 
-def test_a_damped_obstacle_is_stable_at_long_steps_and_holds_what_runs_into_it(robot):
-    """A dashpot far heavier than a step of 10 ms would bear if it were not solved for with the rates."""
+def rough_contact(rough: float) -> Any:
+    contact: Any = REGISTRY["contact"]
+    return contact(angle_rad=0.02, obstacle=300.0, rough=rough)
 
-    def theta(step_s: float, **values: float) -> np.ndarray:
-        contact: Any = REGISTRY["contact"]
-        model = dataclasses.replace(robot(6), effects=(contact(angle_rad=0.02, **values),))
-        return np.asarray(simulate(model, drive(), at=jnp.asarray(AT), step_s=step_s).theta)
 
-    coarse, fine = (theta(h, obstacle=3000.0, damping_s=0.5) for h in (0.01, 0.001))
+def test_an_obstacle_rubs_with_its_share_of_what_it_pushes_with(robot):
+    """Work of the friction: −μ F |slide|, whatever the joints do."""
+    q, v = np.array([0.05, 0.03, 0.04]), np.array([8.0, -2.0, 4.0])
+    psi, reach = np.cumsum(q), 2 * float(robot(3).chain.half_length_m) * np.array([1, 1, 0.5])
+    now: Any = SimpleNamespace(
+        model=robot(3), middle=tuple(q), v=tuple(v), sin=tuple(np.sin(psi)), cos=tuple(np.cos(psi))
+    )
+    smooth, rubbed = (np.array(rough_contact(r).load((), (jnp.zeros(()),) * 3, now)) for r in (0.0, 0.5))
+    tip, at = np.sin(psi) @ reach, np.sin(0.02 * np.arange(1, 4)) @ reach
+    slide = np.sin(psi) * np.cumsum(v) @ reach
+    assert (rubbed - smooth) @ v == pytest.approx(-0.5 * 300.0 * (tip - at) * abs(slide), rel=0.02)
+
+
+def test_a_tip_that_sticks_to_an_obstacle_is_stable_at_long_steps(robot):
+    """Such friction damps far more heavily than a step of 10 ms would bear if it were not solved for."""
+    model = dataclasses.replace(robot(6), effects=(rough_contact(2.0),))
+    coarse, fine = (np.asarray(simulate(model, drive(), at=jnp.asarray(AT), step_s=h).state.q) for h in (0.01, 0.001))
     assert np.abs(coarse - fine).max() < 0.05 * np.ptp(fine)
-    springy, damped = (theta(0.0025, obstacle=30.0, damping_s=tau).max() for tau in (0.0, 0.1))
-    assert 0.02 < damped < springy - 0.003
+    free = np.asarray(simulate(robot(6), drive(), at=jnp.asarray(AT), step_s=0.01).state.q)
+    assert np.abs(coarse - free).max() > 0.1 * np.ptp(fine)
 
 
 @pytest.mark.parametrize(
