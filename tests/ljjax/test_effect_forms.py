@@ -1,0 +1,316 @@
+"""Each effect's forms: what the equation of its page says, effect by effect."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from ljjax import energy
+from ljjax.effects import REGISTRY
+from ljjax.model import limits
+from ljjax.simulation import simulate
+from tests.ljjax.motion import AT, drive, seen
+
+
+def test_a_filter_averages(robot):
+    """r = 0 is a first-order filter; r = 1 a moving average over 6τ, which a first-order one is not."""
+    t, window = np.linspace(0.0, 1.2, 2401), 0.12
+    plain = np.interp(t, AT, np.asarray(seen(robot(3), drive())[:, 0]))
+    grown = np.concatenate([np.full(400, plain[0]), plain])
+    mean = np.convolve(grown, np.ones(round(window / 5e-4)) / round(window / 5e-4), mode="full")[400 : 400 + len(t)]
+
+    def off(tau: float, later: float) -> float:
+        kind = REGISTRY["sensor_filter"](**{"tau_s": tau, "later": later})
+        filtered = seen(dataclasses.replace(robot(3), effects=(kind,)), drive())[:, 0]
+        return float(np.sqrt(np.mean((filtered - np.interp(AT, t, mean)) ** 2)))
+
+    average, first, none = off(window / 6, 1.0), off(window / 2, 0.0), off(0.0, 0.0)
+    assert average < 0.2 * first < 0.1 * none, (average, first, none)
+
+
+def test_a_filter_goes_as_its_transfer_function():
+    """1/((τs + 1)(r²τ²(1 + o²)s² + 2rτs + 1)), but for what the first filter does within a step."""
+    from scipy.signal import lsim
+
+    tau, later, over, h = 0.01, 2.0, 1.2, 0.005
+    kind: Any = REGISTRY["sensor_filter"]
+    sensor = kind(tau_s=tau, later=later, overshoot=over)
+    t = h * np.arange(200)
+    q = 0.3 * np.sin(9.0 * t) + np.where(t > 0.5, 0.1, 0.0)
+    now: Any = SimpleNamespace(q=(jnp.asarray(q[0]),), h=jnp.asarray(h))
+    memory, got = sensor.start(now), [q[0]]
+    for x in q[1:]:
+        (y,), memory = sensor.sense(memory, (jnp.asarray(x),), now)
+        got.append(float(y))
+    second = later * tau
+    below = np.polymul([tau, 1.0], [second**2 * (1 + over**2), 2 * second, 1.0])
+    _, expected, _ = lsim(([1.0], below), q, t)
+    np.testing.assert_allclose(got, expected, atol=5e-4)
+
+
+def test_a_sheath_fills_behind_its_line():
+    kind: Any = REGISTRY["pressure_lag"]
+    lag, h = kind(fill_s=0.2, vent_s=0.1, power=0.0, second=0.5), 0.001
+    now: Any = SimpleNamespace(vacuum=jnp.zeros(()), h=jnp.asarray(h))
+    memory, got = lag.start(now), []
+    for line in [20.0] * 2000 + [0.0] * 400:
+        vacuum, memory = lag.evacuate(memory, jnp.asarray(line), now)
+        got.append(float(vacuum))
+    t = h * (np.arange(400) + 0.5)
+    for begin, left in ((0, 2 * np.exp(-t / 0.2) - np.exp(-t / 0.1)), (2000, 2 * np.exp(-t / 0.1) - np.exp(-t / 0.05))):
+        apart = np.abs(np.array(got[begin : begin + 400]) - (20.0 if begin == 0 else 0.0))
+        np.testing.assert_allclose(apart, 20.0 * left, atol=0.02)
+
+
+def test_a_leak_may_be_at_folds_that_open_with_the_bend():
+    """Nothing is lost while the body is straight, with a time constant half of the share where q = w."""
+    kind: Any = REGISTRY["pressure_leak"]
+    leak, line = kind(share=0.4, tau_s=0.5, held=0.0, of_bend=1.0, open_rad=0.2), jnp.asarray(20.0)
+
+    def held(bend: float, seconds: float) -> float:
+        now: Any = SimpleNamespace(vacuum=line, h=jnp.asarray(1e-3), middle=(jnp.asarray(bend), jnp.asarray(-bend)))
+        memory, vacuum = leak.start(now), line
+        for _ in range(round(seconds / 1e-3)):
+            vacuum, memory = leak.evacuate(memory, line, now)
+        return float(vacuum)
+
+    assert held(0.0, 0.2) == pytest.approx(20.0)
+    assert held(0.2, 0.5) == pytest.approx(20.0 * (1 - 0.2 * (1 - np.exp(-1))), rel=1e-3)
+
+
+def rough_contact(rough: float) -> Any:
+    contact: Any = REGISTRY["contact"]
+    return contact(angle_rad=0.02, obstacle=300.0, rough=rough)
+
+
+def test_an_obstacle_rubs_with_its_share_of_what_it_pushes_with(robot):
+    """Work of the friction: −μ F |slide|, whatever the joints do."""
+    q, v = np.array([0.05, 0.03, 0.04]), np.array([8.0, -2.0, 4.0])
+    psi, reach = np.cumsum(q), 2 * float(robot(3).chain.half_length_m) * np.array([1, 1, 0.5])
+    now: Any = SimpleNamespace(
+        model=robot(3), middle=tuple(q), v=tuple(v), sin=tuple(np.sin(psi)), cos=tuple(np.cos(psi))
+    )
+    smooth, rubbed = (np.array(rough_contact(r).load((), (jnp.zeros(()),) * 3, now)) for r in (0.0, 0.5))
+    tip, at = np.sin(psi) @ reach, np.sin(0.02 * np.arange(1, 4)) @ reach
+    slide = np.sin(psi) * np.cumsum(v) @ reach
+    assert (rubbed - smooth) @ v == pytest.approx(-0.5 * 300.0 * (tip - at) * abs(slide), rel=0.02)
+
+
+def test_a_tip_that_sticks_to_an_obstacle_is_stable_at_long_steps(robot):
+    """Such friction damps far more heavily than a step of 10 ms would bear if it were not solved for."""
+    model = dataclasses.replace(robot(6), effects=(rough_contact(2.0),))
+    coarse, fine = (np.asarray(simulate(model, drive(), at=jnp.asarray(AT), step_s=h).state.q) for h in (0.01, 0.001))
+    assert np.abs(coarse - fine).max() < 0.05 * np.ptp(fine)
+    free = np.asarray(simulate(robot(6), drive(), at=jnp.asarray(AT), step_s=0.01).state.q)
+    assert np.abs(coarse - free).max() > 0.1 * np.ptp(fine)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [("viscoelastic_creep", {"stiffness": 1.0}), ("stiffness_hardening", {"cubic": 50.0}),
+     ("rest_curvature", {"angle_rad": 0.1})],
+)  # fmt: skip
+def test_backbone_or_all_that_is_elastic(robot, effect, values):
+    """The torque goes with α₂ of the sheath, or stays as it is in one without a vacuum."""
+    kind: Any = REGISTRY[effect]
+    model, one = robot(2), jnp.asarray(0.1)
+    zero = jnp.zeros((2,))
+    held = (tuple(zero),) * 2 if effect == "viscoelastic_creep" else ()
+
+    def torque(layers: float, vacuum: float) -> float:
+        alpha2 = (energy.alpha2(model, jnp.asarray(vacuum)),) * 2
+        now: Any = SimpleNamespace(
+            model=model, vacuum=jnp.asarray(vacuum), alpha2=alpha2, middle=(one, one), h=jnp.asarray(0.001)
+        )
+        return float(kind(**values, of_layers=layers).load(held, tuple(zero), now)[0])
+
+    bare, stiff = (float(energy.alpha2(model, jnp.asarray(p))) for p in (0.0, 20.0))
+    assert torque(0.0, 20.0) == pytest.approx(torque(1.0, 0.0)) != 0.0
+    assert torque(1.0, 20.0) == pytest.approx(torque(0.0, 0.0) * stiff / bare)
+
+
+def test_a_lag_that_rings_goes_as_its_differential_equation():
+    from scipy.integrate import solve_ivp
+
+    from ljjax.effects.shapes import ringing
+
+    tau, r, h = 0.02, 2.5, 0.005
+    for x, held, speed in ((1.0, 0.2, 3.0), (0.0, 0.4, -1.0)):
+        mean, end, rate = ringing(*(jnp.asarray(v) for v in (x, held, speed, tau, r, h)))
+        ode = solve_ivp(
+            lambda t, y: [y[1], (x - y[0] - 2 * tau * y[1]) / (tau**2 * (1 + r**2)), y[0]],  # noqa: B023
+            (0, h), [held, speed, 0.0], rtol=1e-10, atol=1e-12,
+        )  # fmt: skip
+        np.testing.assert_allclose([end, rate, mean * h], ode.y[:, -1], rtol=1e-6)
+    mean, end, rate = ringing(*(jnp.asarray(v) for v in (1.0, 0.2, 3.0, 0.0, r, h)))
+    assert (float(mean), float(end), float(rate)) == (1.0, 1.0, 0.0)
+
+
+def test_cogging_pulls_a_slack_tendon_but_never_pushes():
+    """What a motor's cogging adds is the same at all tensions, up to what a slack tendon has to give."""
+    ripple: Any = REGISTRY["actuator_ripple"]
+    cogs = ripple(left_cosine=0.1, right_cosine=0.1, waves=10.0, stretch=1e-4, power=0.0)
+    now: Any = SimpleNamespace(middle=(jnp.asarray(np.pi / 10),))  # half a wave from where it pulls most
+
+    def pulled(t: float, at: Any = now) -> float:
+        (left, _), _ = cogs.actuate((), (jnp.asarray(t), jnp.asarray(5.0)), at)
+        return float(left)
+
+    straight: Any = SimpleNamespace(middle=(jnp.asarray(0.0),))
+    for tension in (0.3, 3.0, 30.0):
+        assert pulled(tension, straight) == pytest.approx(tension + 1.0, abs=2e-3)
+        assert pulled(tension) == pytest.approx(max(tension - 1.0, 0.0), abs=2e-3)
+
+
+def test_each_motor_may_lag_in_its_own_way():
+    kind: Any = REGISTRY["actuator_lag"]
+    lag = kind(tau_s=0.1, second_s=0.05, difference=1.0)
+    zero = jnp.zeros(())
+    now: Any = SimpleNamespace(h=jnp.asarray(0.01))
+    (left, right), _ = lag.actuate((zero,) * 6, (jnp.asarray(4.0), jnp.asarray(4.0)), now)
+    assert float(left) < 0.1 and float(right) == 4.0
+
+
+def test_load_presses_by_a_power_of_it_and_more_towards_the_base():
+    kind: Any = REGISTRY["load_dependent_friction"]
+    presses = kind(gain=0.2, power=0.5, to_base=0.5)
+    phi = tuple(jnp.full((3,), 2.0))
+    more = {}
+    for load in (10.0, 40.0):
+        now: Any = SimpleNamespace(u=(jnp.asarray(0.5 * load), jnp.asarray(0.5 * load)))
+        more[load] = np.array(presses.phi((), phi, now)) - 2.0
+    np.testing.assert_allclose(more[10.0], [3.0, 2.0, 1.0], rtol=1e-5)  # 0.2 N·m/N of 10 N, and half as much again
+    np.testing.assert_allclose(more[40.0], 2 * more[10.0], rtol=1e-5)
+
+
+def test_backbone_or_layers_may_differ_along_the_body(robot):
+    kind: Any = REGISTRY["nonuniform_stiffness"]
+    model, stiff = robot(3), {}
+    for layers in (0.0, 0.5, 1.0):
+        differ = kind(mode1=0.1, of_layers=layers)
+        for vacuum in (0.0, 20.0):
+            now: Any = SimpleNamespace(model=model, vacuum=jnp.asarray(vacuum))
+            mean = energy.alpha2(model, now.vacuum)
+            stiff[layers, vacuum] = np.array(differ.alpha2((), (mean,) * 3, now)) / float(mean) - 1
+    np.testing.assert_allclose(stiff[0.5, 20.0], [-0.1, 0.0, 0.1], atol=1e-12)
+    np.testing.assert_allclose(stiff[0.5, 0.0], stiff[0.0, 0.0] / 2)
+    np.testing.assert_allclose(stiff[1.0, 0.0], 0.0)
+    np.testing.assert_allclose(stiff[0.0, 20.0] + stiff[1.0, 20.0], 2 * stiff[0.5, 20.0], atol=1e-12)
+    assert min(np.ptp(stiff[0.0, 20.0]), np.ptp(stiff[1.0, 20.0])) > 0
+
+
+def test_a_slack_tendon_is_wound_up_before_the_body_feels_it():
+    """Paid out within a tenth of a second, wound up in 20 ms at 10 N and in half the time at four times as much."""
+    kind: Any = REGISTRY["tendon_slack"]
+    slack, h = kind(slack_s=0.02, slack_n=1.0), 0.001
+    for tension, dead in ((10.0, 0.020), (40.0, 0.010)):
+        now: Any = SimpleNamespace(u=(jnp.asarray(5.0), jnp.asarray(5.0)), h=jnp.asarray(h))
+        memory, felt = slack.start(now), []
+        for u in [5.0] * 5 + [0.1] * 200 + [tension] * 40:
+            (left, right), memory = slack.actuate(memory, (jnp.asarray(u), jnp.asarray(5.0)), now)
+            felt.append(float(left))
+            assert float(right) == pytest.approx(5.0)
+        np.testing.assert_allclose(felt[:5], 5.0)
+        assert max(felt[150:205]) < 0.01
+        lost = (tension - np.array(felt[205:])).sum() * h / tension
+        assert lost == pytest.approx(dead, rel=0.02)
+        assert felt[-1] == pytest.approx(tension)
+
+
+@pytest.mark.parametrize(("effect", "hook"), [("stiffness_saturation", "alpha2"), ("friction_saturation", "phi")])
+def test_saturation_may_want_a_vacuum_first(effect, hook):
+    """aPⁿ/(Pⁿ + p₀ⁿ): half at the knee; of third order an eighth of the first order's slope below it, none at 0."""
+    kind: Any = REGISTRY[effect]
+
+    def more(order: float, vacuum: float, edge: float = 1.0) -> float:
+        now: Any = SimpleNamespace(vacuum=jnp.asarray(vacuum))
+        law = kind(rise=2.0, knee_kpa=8.0, order=order, edge=edge)
+        return float(getattr(law, hook)((), (jnp.asarray(1.0),), now)[0]) - 1
+
+    for order in (1.0, 3.0):
+        assert [more(order, p) for p in (0.0, 8.0, 8e6)] == pytest.approx([0.0, 1.0, 2.0], abs=1e-4)
+    assert more(1.0, 4.0) == pytest.approx(2 / 3) and more(3.0, 4.0) == pytest.approx(2 / 9)
+    sharp = [more(1.0, p, edge=3.0) for p in (0.0, 4.0, 8.0, 8e6)]
+    assert sharp == pytest.approx([0.0, 1 / np.cbrt(1 + 1 / 8), 2 / np.cbrt(2), 2.0], abs=1e-4)
+
+
+def test_a_motors_limit_folds_back_while_it_carries():
+    """A sharp limit of 40 N that falls by what is carried: half of it is left in the end, all of it after a rest."""
+    kind: Any = REGISTRY["actuator_saturation"]
+    motor, h = kind(share=1.0, limit_n=40.0, edge=16.0, fold=1.0, fold_s=0.5), 0.01
+    now: Any = SimpleNamespace(u=(jnp.zeros(()),) * 2, h=jnp.asarray(h))
+    memory, felt = motor.start(now), []
+    for u in [30.0] * 500 + [0.0] * 500 + [30.0]:
+        (left, right), memory = motor.actuate(memory, (jnp.asarray(u), jnp.asarray(5.0)), now)
+        felt.append(float(left))
+        assert float(right) == pytest.approx(5.0, abs=1e-3)
+    assert felt[0] == pytest.approx(felt[-1]) == pytest.approx(30.0, rel=0.01)
+    assert felt[499] == pytest.approx(20.0, rel=0.05)
+
+
+def test_creep_goes_by_a_power_of_its_stress():
+    """A branch held at a bend relaxes as ẋ = (q − x)/τ (|q − x|/x₀)²."""
+    from scipy.integrate import solve_ivp
+
+    kind: Any = REGISTRY["viscoelastic_creep"]
+    creep, bend, h = kind(stiffness=1.0, tau_s=0.5, order=3.0), 0.05, 0.002
+    now: Any = SimpleNamespace(q=(jnp.asarray(bend),), h=jnp.asarray(h))
+    memory: Any = ((jnp.zeros(()),), (jnp.zeros(()),))
+    for _ in range(500):
+        memory = creep.remember(memory, now, now)
+    ode = solve_ivp(lambda _, x: (bend - x) / 0.5 * ((bend - x) / 0.03) ** 2, (0, 1.0), [0.0], rtol=1e-9)
+    assert float(memory[0][0]) == pytest.approx(float(ode.y[0, -1]), rel=5e-3)
+    assert float(memory[1][0]) < 0.5 * float(memory[0][0])
+
+
+def test_layers_rub_more_the_more_they_are_bent():
+    """hφ|q| against the motion, turning round within x₀."""
+    kind: Any = REGISTRY["layer_hysteresis"]
+    rubs, phi = kind(with_bend=0.05, width_rad=0.01), 20.0
+    path = [*np.linspace(0.0, 0.2, 201), *np.linspace(0.2, 0.1, 101)]
+    memory, felt = None, []
+    for q, after in zip(path[:-1], path[1:], strict=True):
+        at: Any = SimpleNamespace(q=(jnp.asarray(q),), middle=(jnp.asarray(q),), phi=(jnp.asarray(phi),), vacuum=0.0)
+        memory = rubs.start(at) if memory is None else memory
+        felt.append(float(rubs.load(memory, (jnp.zeros(()),), at)[0]))
+        memory = rubs.remember(memory, at, SimpleNamespace(q=(jnp.asarray(after),)))
+    assert felt[200] == pytest.approx(-0.05 * phi * 0.2, rel=1e-3)
+    assert felt[-1] == pytest.approx(0.05 * phi * 0.101, rel=1e-3)
+    assert abs(felt[200 + 7]) < 0.2 * abs(felt[200])
+
+
+def test_a_robot_may_warm_faster_than_is_taken_for_granted():
+    """W goes as 1 − exp(−t/τ) of 110 s where ΔT is taken to go with 600 s; c = 0 is ΔT itself."""
+    kind: Any = REGISTRY["thermal_drift"]
+    t = np.array([60.0, 150.0, 300.0, 540.0])
+    given = -10.0 * np.expm1(-t / 600.0)
+
+    def drift(curve: float) -> np.ndarray:
+        warms = kind(friction_per_k=0.1, curve_per_k=curve)
+        return np.array([float(warms.phi((), (jnp.ones(()),), SimpleNamespace(warm=w))[0]) - 1 for w in given])
+
+    np.testing.assert_allclose(drift(0.0), 0.1 * given, rtol=1e-4)
+    slope = jax.grad(lambda c: kind(friction_per_k=0.1, curve_per_k=c).phi((), (1.0,), SimpleNamespace(warm=6.0))[0])(
+        0.0
+    )
+    assert float(slope) == pytest.approx(-0.1 * 6.0**2 / 2, rel=1e-3)  # or no fit would ever leave c = 0
+    np.testing.assert_allclose(
+        drift(0.6) / drift(0.6)[-1], -np.expm1(-t / 110.0) / -np.expm1(-540.0 / 110.0), atol=0.03
+    )
+
+
+def test_a_load_beside_the_axis_is_a_load(robot):
+    """Its moment goes with its mass: a tilted base is no payload without one."""
+    kind: Any = REGISTRY["tip_payload"]
+    model, zero = robot(2), (jnp.zeros(()),) * 2
+    now: Any = SimpleNamespace(model=model, middle=zero, sin=zero, cos=(jnp.ones(()),) * 2)
+    assert [float(x) for x in kind(mass_kg=0.0, aside_m=0.05).load((), zero, now)] == [0.0, 0.0]
+    both = kind(mass_kg=0.1, aside_m=0.05).load((), zero, now)
+    np.testing.assert_allclose(both, -9.80665 * 0.1 * 0.05)
+    assert limits(dataclasses.replace(model, effects=(kind(),)))["effects.tip_payload.aside_m"] == (-0.05, 0.05)
