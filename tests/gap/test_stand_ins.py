@@ -20,7 +20,7 @@ from ljjax.gap.search import Refit, Study
 from ljjax.gap.stand_ins import BLOCKS, PLACES, QUICK, STAND_INS, stand_in
 from tests.fit.test_dynamic import guess, logged, robot
 from tests.ljjax.conftest import make_robot
-from tests.ljjax.test_effects import drive, seen
+from tests.ljjax.motion import drive, seen
 
 
 def test_at_their_nulls_nothing_changes():
