@@ -228,6 +228,14 @@ def _left_over(inquiry: Inquiry) -> list[str]:
             f"left out of the fit, {', '.join(runs)} would close by {100 * known.min():z.0f} % alone (others "
             f"{100 * np.median(known):z.0f} %): {who} as fitted carries over badly to that condition"
         )
+    (told,) = inquiry.told_elsewhere([chosen])
+    if chosen.ids and told.min() <= 0.5:
+        alone = inquiry.folds[1] == np.argmin(told)
+        runs = [m.run.run_id for m, mine in zip(inquiry.setting.train, alone, strict=True) if mine]
+        out.append(
+            f"of the runs fitted hardly any but {', '.join(runs)} shows {who}: whether it carries over cannot be told "
+            "from these data; log more like it"
+        )
     return out
 
 

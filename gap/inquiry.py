@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ljjax.fit import folds
+from ljjax.fit.coordinates import without_effects
 from ljjax.fit.windows import Motion
 from ljjax.gap import channels, judge
 from ljjax.gap.candidates import Trial
@@ -24,6 +25,8 @@ from ljjax.modelfile import ModelFile
 LEFT_OVER, SOME = 0.1, 0.01
 """The share of the gap that is worth telling of where the effects found leave it, and from which stand-ins of few terms
 are asked."""
+ELSEWHERE = 0.05
+"""The share of what effects do outside a fold from which the other folds are taken to say all about them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,21 +130,43 @@ class Inquiry:
 
     def closes(self, refit: Refit) -> np.ndarray:
         """(F,) the share of the gap that a refit closes in each fold where that fold is left out of every fit, to first
-        order; NaN where it shows no gap."""
+        order; NaN where it shows no gap, or where the others cannot tell what its effects do there."""
         before, after, floor = self._unseen(self.base), self._unseen(refit), self._fold_floor
+        known = (before > judge.MATTERS * floor) & (self.told_elsewhere([refit])[0] > 0.5)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(before > judge.MATTERS * floor, 1 - after / before, np.nan)
+            return np.where(known, 1 - after / before, np.nan)
 
-    def leaves_unseen(self, refit: Refit) -> float:
-        """The share of the gap that a refit leaves over all folds, the measured inputs' own gap among it."""
-        share = self._unseen(refit).sum() / max(self._unseen(self.base).sum(), 1e-3 * self.selection.gap)
-        return self.measured.joined(float(share), refit.fitted)
+    def leave_unseen(self, refits: Sequence[Refit]) -> list[float]:
+        """The shares of the gap that refits leave over all folds, the measured inputs' own gap among it. A fold counts
+        as left out so far as the refit's effects act in others: of an obstacle that one run touches, the others say
+        nothing, neither for it nor against it."""
+        out = []
+        for refit, told in zip(refits, self.told_elsewhere(refits), strict=True):
+            after, before = (
+                told * self._unseen(r) + (1 - told) * self._above(r.estimate.error) for r in (refit, self.base)
+            )
+            share = after.sum() / max(before.sum(), 1e-3 * self.selection.gap)
+            out.append(self.measured.joined(float(share), refit.fitted))
+        return out
+
+    def told_elsewhere(self, refits: Sequence[Refit]) -> list[np.ndarray]:
+        """(F,) of each refit, how far what its effects do in a fold can be told from the other folds, 0 to 1: they
+        change the motion there too."""
+        study, out = self.setting.study, []
+        idle = [replace(r, estimate=replace(r.estimate, model=without_effects(r.model))) for r in refits]
+        for refit, still in zip(refits, study.predict(idle, self.setting.train), strict=True):
+            does = np.nan_to_num(study.cost(still.predicted - refit.estimate.predicted), posinf=0.0)
+            does = np.bincount(self._sample_fold, does)
+            out.append(np.clip((1 - does / max(does.sum(), 1e-12)) / ELSEWHERE, 0, 1))
+        return out
 
     def _unseen(self, refit: Refit) -> np.ndarray:
         """(F,) loss above the floor of each fold where it is left out."""
-        fold = self.folds[1]
-        cost = self.setting.study.cost(folds.left_out(refit.estimate, fold))
-        return np.bincount(self._sample_fold, cost) - self._fold_floor
+        return self._above(folds.left_out(refit.estimate, self.folds[1]))
+
+    def _above(self, error: np.ndarray) -> np.ndarray:
+        """(F,) loss above the floor of errors (N, c) [rad] in each fold."""
+        return np.bincount(self._sample_fold, self.setting.study.cost(error)) - self._fold_floor
 
     @cached_property
     def _sample_fold(self) -> np.ndarray:
@@ -164,7 +189,10 @@ class Inquiry:
                 promised = 1 - screen.gains[screen.best(i)] / self.selection.gap
                 left[i] = max(measured.joined(promised, ()), 0.35)
         size = {i: found.single[i].trial.size if i in found.single else 1 for i in left}
-        unseen = {i: self.leaves_unseen(r) for i, r in found.single.items()}
+        several = [found.best, *(r for *_, r in found.exchanged)] if len(found.best.ids) > 1 else []
+        asked = [*found.single.values(), *several]
+        leaves_unseen = dict(zip(asked, self.leave_unseen(asked), strict=True))
+        unseen = {i: leaves_unseen[r] for i, r in found.single.items()}
         used = {i: r.used[i] for i, r in found.single.items()}
         if len(found.best.ids) > 1:
             used |= found.best.used
@@ -175,14 +203,14 @@ class Inquiry:
             for i in left:
                 if i in alone:  # the main one is that without which most is left
                     left[i] = least + behind[i]
-                    unseen[i] = self.leaves_unseen(found.best) + behind[i]
+                    unseen[i] = leaves_unseen[found.best] + behind[i]
                 else:
                     unseen.pop(i, None)
                     left[i] = left[i] / max(least_alone, 1e-9) * max(least_alone, 0.5)
             for place, i, r in found.exchanged:
                 if (as_it_does := self.left(r) + behind[place]) < left[i]:
                     left[i], used[i] = as_it_does, r.used[i]
-                    unseen[i] = self.leaves_unseen(r) + behind[place]
+                    unseen[i] = leaves_unseen[r] + behind[place]
                     size[i] = sum(p.startswith(f"effects.{i}.") for p in r.trial.start)
         chance = judge.chance(self.null, max(self.gained.values(), default=0.0), self.one)
         count = len(self.setting.study.names)

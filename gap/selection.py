@@ -178,9 +178,12 @@ class Selection:
         return self.study.taken_over(better, f"{stage}, all runs", finish, further=2)
 
     def _trials_around(self, screen: Screen, effect: str) -> list[Trial]:
-        study, forms = self.study, [k for k in screen.forms if k[0] == effect]
+        forms = [k for k in screen.forms if k[0] == effect]
         keys = forms if len(forms) <= FORMS else [screen.best(effect)]
-        return [t for key in keys for t in either_side(study.trial(screen, key)[0], study.kinds)]
+        return [t for key in keys for t in self._either_side(screen, key)]
+
+    def _either_side(self, screen: Screen, key: tuple[str, int]) -> list[Trial]:
+        return either_side(self.study.trial(screen, key)[0], self.study.kinds)
 
     def _around(self, screen: Screen, ids: Sequence[str], within: float = np.inf) -> list[Refit]:
         """Effects begun from the given model, of which the screen is, in each of their forms and to either side of
@@ -235,13 +238,13 @@ class Selection:
             more = self._further(found.best, unit) if share < NOTABLE else []
             if len(found.best.ids) == 1 and share > PAIRS:
                 more += self._pairs(list(left.values()), hopeless=share > OFF)
+                if share < NOTABLE and not any(judge.pairs_worth(share, self.left(r), unit) for r in more):
+                    more += [r for r in self._beside(found.best) if self.left(r) < FURTHER]
             for r in more:
                 key = tuple(sorted(r.ids))
                 if key not in found.joint or r.total < found.joint[key].total:
                     found.joint[key] = r
-            if not more:
-                break
-            better = min(more, key=self.left)
+            better = min((*more, found.best), key=self.left)
             if not judge.pairs_worth(share, self.left(better), unit):
                 break
             found.best = better
@@ -268,6 +271,16 @@ class Selection:
         if hopeless and self._from_given is not None:
             return self._on_few(both, singles, "pairs", finish=2)
         return self.study.refit(self.study.start, both, self._from_given, stage="pairs", finish=2)
+
+    def _beside(self, best: Refit) -> list[Refit]:
+        """Every other effect beside the best so far, from the given model, on few runs first: what the base's refit was
+        bent to with one effect can hide the other from the screen, and lead it astray."""
+        screen = self._from_given
+        if screen is None:
+            return []
+        others = [t for i in screen.ids if i not in best.ids for t in self._either_side(screen, screen.best(i))]
+        both = [Trial((*best.ids, *t.ids), {**best.free_effects, **t.start}) for t in others]
+        return self._on_few(both, [best], "every second effect", finish=2)
 
     def _exchange(self, found: Found) -> None:
         """Each of several effects exchanged for those that promise most in its place: what was found first need not be

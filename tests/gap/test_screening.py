@@ -264,3 +264,34 @@ def test_no_gap_is_unexplained_before_every_effect_has_been_tried():
     assert refits[-1] == cause  # it alone was worth refitting to all runs
     first = max(keys, key=lambda k: keys[k])[0]
     assert cause not in tried(first)[1]  # what explains the runs at once leaves the rest untried
+
+
+@pytest.mark.parametrize("leaves, kept", [(0.05, True), (0.2, False)])
+def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_from_the_given_model(leaves, kept):
+    kinds = list(REGISTRY.values())
+    begun: list[Trial] = []
+
+    def refitted(trial: Trial, left: float) -> Any:
+        return SimpleNamespace(trial=trial, ids=trial.ids, total=100 + 900 * left, fitted=(), free_effects=trial.start)
+
+    first = refitted(Trial(("contact",), {"effects.contact.stop": 7.0}), 0.4)
+
+    def few(trials, found, stage, finish) -> list[Any]:
+        begun.extend(trials)
+        return [refitted(next(t for t in trials if t.ids[1] == "sensor_bias"), leaves)]
+
+    selection: Any = object.__new__(Selection)
+    selection.floor, selection.excess, selection.measured = 100.0, 900.0, Measured([])
+    selection.left = lambda refit: (refit.total - 100) / 900
+    selection.unit_of = lambda refit: 1e-4
+    selection._further = lambda best, unit: [refitted(Trial(("contact", "base_tilt")), 0.38)]
+    selection._pairs = lambda singles, hopeless: []
+    selection._prune = selection._exchange = lambda *_: None
+    selection._on_few = few
+    steps = {(k.id, 0): Trial((k.id,), {f"effects.{k.id}.{next(iter(k.sizes()))}": 0.1}) for k in kinds}
+    selection.study = SimpleNamespace(kinds=kinds, start=None, trial=lambda screen, key: (steps[key], None))
+    selection._from_given = SimpleNamespace(ids=[k.id for k in kinds], best=lambda i: (i, 0))
+    found = selection._forward([first])
+    assert {t.ids for t in begun} == {("contact", k.id) for k in kinds if k.id != "contact"}
+    assert all(t.start["effects.contact.stop"] == 7.0 and t.size == 2 for t in begun)
+    assert found.best.ids == (("contact", "sensor_bias") if kept else ("contact",))

@@ -1,0 +1,70 @@
+"""What runs that are left out say of an effect."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ljjax.effects.structure import BaseTilt, Contact
+from ljjax.fit.run import prepared
+from ljjax.gap.candidates import Trial
+from ljjax.gap.data import in_order, span
+from ljjax.gap.inquiry import Inquiry
+from ljjax.gap.search import Study
+from tests.fit.test_dynamic import guess, logged, robot
+
+
+def inquiry(*effects: Any) -> Inquiry:
+    """Into three runs of a robot with these effects, what is asked of it left out."""
+    model = dataclasses.replace(robot(), effects=effects)
+    start = guess(robot())
+    case = prepared(start, "nominal.toml", [logged(model, s) for s in range(3)], (), start.frozen, "commands")
+    assert not isinstance(case, list)
+    runs, c = in_order(case.problem.motions), case.problem.coordinates
+    kinds = (Contact, BaseTilt)
+    study = Study(start.model, c.names, kinds, runs, c.pressure, span(runs), start.bounds, start.priors)
+    asked: Any = Inquiry.__new__(Inquiry)
+    asked.setting, asked.base = SimpleNamespace(study=study, train=runs), study.base()
+    gap = asked.base.total - study.floor(sum(len(m.t) for m in runs))
+    asked.selection = SimpleNamespace(gap=gap)
+    asked.measured = SimpleNamespace(joined=lambda share, _: share)
+    return asked
+
+
+@pytest.fixture(scope="module")
+def touched() -> tuple[Inquiry, float]:
+    """A robot that meets an obstacle in one of the runs, and the angle of that."""
+    bends = sorted(float(logged(robot(), s).signals["shape"].value.mean(axis=1).max()) for s in range(3))
+    angle = bends[1] + 0.4 * (bends[2] - bends[1])
+    make: Any = Contact
+    return inquiry(make(stop=20.0, angle_rad=angle)), angle
+
+
+def shares(asked: Inquiry, trial: Trial) -> tuple[float, float, np.ndarray, np.ndarray]:
+    """Left in the fits and where runs are left out; how far the others tell what an effect does in each, and what it
+    closes there where that is left out."""
+    (refit,) = asked.setting.study.refit(asked.base.model, [trial], None)
+    left = (refit.total - asked.base.total) / asked.selection.gap + 1
+    (unseen,) = asked.leave_unseen([refit])
+    (told,) = asked.told_elsewhere([refit])
+    return left, unseen, told, asked.closes(refit)
+
+
+def test_runs_that_never_touch_an_obstacle_say_nothing_against_it(touched):
+    asked, angle = touched
+    start = {"effects.contact.stop": 10.0, "effects.contact.angle_rad": angle + 0.01}
+    left, unseen, told, closes = shares(asked, Trial(("contact",), start))
+    assert left < 0.1 and unseen < 0.3
+    assert sorted(told)[0] < 0.5 and sorted(told)[1:] == [1.0, 1.0]
+    assert np.isnan(closes[np.argmin(told)])
+
+
+def test_what_acts_in_every_run_answers_for_each_of_them(touched):
+    asked, _ = touched
+    left, unseen, told, closes = shares(asked, Trial(("base_tilt",), {"effects.base_tilt.tilt_rad": 0.05}))
+    assert list(told) == [1.0, 1.0, 1.0] and unseen > left > 0.5
+    assert np.isfinite(closes).any() and np.nanmin(closes) < 0.1
