@@ -229,7 +229,7 @@ def _left_over(inquiry: Inquiry) -> list[str]:
             f"{100 * np.median(known):z.0f} %): {who} as fitted carries over badly to that condition"
         )
     (told,) = inquiry.told_elsewhere([chosen])
-    if chosen.ids and told.min() <= 0.5:
+    if told.min() <= 0.5:
         alone = inquiry.folds[1] == np.argmin(told)
         runs = [m.run.run_id for m, mine in zip(inquiry.setting.train, alone, strict=True) if mine]
         out.append(

@@ -18,7 +18,7 @@ from ljjax.gap.candidates import Trial
 from ljjax.gap.channels import Measured
 from ljjax.gap.search import Refit, Study
 from ljjax.gap.selection import Selection
-from ljjax.gap.stand_ins import QUICK, STAND_INS, stand_in
+from ljjax.gap.stand_ins import MIMICS, QUICK, STAND_INS, stand_in
 from ljjax.logs import Run
 from ljjax.modelfile import ModelFile
 
@@ -222,9 +222,11 @@ class Inquiry:
         return judge.Evidence(excess, left, size, self.unit, chance, bool(as_given), unseen, flexible, used)
 
     def _flexible(self) -> dict[str, float]:
-        """By place, what a stand-in there leaves of the shape's gap; where the effects found leave little, nothing."""
-        study, left = self.setting.study, self.own_left(self.found.best)
-        if self.excess < judge.OPEN * self.floor or left < SOME:
+        """By place, what a stand-in there leaves of the shape's gap; where the effects found leave little, nothing,
+        unless one of them mimics what a stand-in is for."""
+        study, best = self.setting.study, self.found.best
+        left = self.own_left(best)
+        if self.excess < judge.OPEN * self.floor or (left < SOME and not MIMICS & {*best.ids}):
             return {}
         found = stand_in(study, self.base, QUICK) | (stand_in(study, self.base, STAND_INS) if left > LEFT_OVER else {})
         return {place: min(self.own_left(r), 1.0) for place, r in found.items()}

@@ -11,10 +11,12 @@ import pytest
 
 from ljjax.effects.structure import BaseTilt, Contact
 from ljjax.fit.run import prepared
+from ljjax.gap.answer import _left_over
 from ljjax.gap.candidates import Trial
 from ljjax.gap.data import in_order, span
 from ljjax.gap.inquiry import Inquiry
 from ljjax.gap.search import Study
+from ljjax.gap.stand_ins import QUICK, STAND_INS
 from tests.fit.test_dynamic import guess, logged, robot
 
 
@@ -29,8 +31,9 @@ def inquiry(*effects: Any) -> Inquiry:
     study = Study(start.model, c.names, kinds, runs, c.pressure, span(runs), start.bounds, start.priors)
     asked: Any = Inquiry.__new__(Inquiry)
     asked.setting, asked.base = SimpleNamespace(study=study, train=runs), study.base()
-    gap = asked.base.total - study.floor(sum(len(m.t) for m in runs))
-    asked.selection = SimpleNamespace(gap=gap)
+    floor = study.floor(sum(len(m.t) for m in runs))
+    gap = asked.base.total - floor
+    asked.selection = SimpleNamespace(gap=gap, own_left=lambda refit: (refit.total - floor) / gap)
     asked.measured = SimpleNamespace(joined=lambda share, _: share)
     return asked
 
@@ -42,6 +45,21 @@ def touched() -> tuple[Inquiry, float]:
     angle = bends[1] + 0.4 * (bends[2] - bends[1])
     make: Any = Contact
     return inquiry(make(stop=20.0, angle_rad=angle)), angle
+
+
+@pytest.mark.parametrize(
+    "found, left, asked_of",
+    [("base_tilt", 0.001, 0), ("actuator_ripple", 0.001, 1), ("base_tilt", 0.02, 1), ("base_tilt", 0.2, 2)],
+)
+def test_a_ripple_is_held_against_a_body_in_waves_however_little_it_leaves(monkeypatch, found, left, asked_of):
+    kinds: list[Any] = []
+    monkeypatch.setattr("ljjax.gap.inquiry.stand_in", lambda study, base, of: kinds.append(of) or {})
+    asked: Any = Inquiry.__new__(Inquiry)
+    asked.setting, asked.base, asked.floor, asked.excess = SimpleNamespace(study=None), None, 1.0, 10.0
+    asked.found = SimpleNamespace(best=SimpleNamespace(ids=(found,)))
+    asked.selection = SimpleNamespace(own_left=lambda _: left)
+    asked._flexible()
+    assert kinds == [QUICK, STAND_INS][:asked_of]
 
 
 def shares(asked: Inquiry, trial: Trial) -> tuple[float, float, np.ndarray, np.ndarray]:
@@ -61,6 +79,10 @@ def test_runs_that_never_touch_an_obstacle_say_nothing_against_it(touched):
     assert left < 0.1 and unseen < 0.3
     assert sorted(told)[0] < 0.5 and sorted(told)[1:] == [1.0, 1.0]
     assert np.isnan(closes[np.argmin(told)])
+    (asked.chosen,) = asked.setting.study.refit(asked.base.model, [Trial(("contact",), start)], None)
+    *_, said = _left_over(asked)
+    touches = asked.setting.train[int(asked.folds[1].tolist().index(np.argmin(told)))].run.run_id
+    assert said.startswith(f"of the runs fitted hardly any but {touches} shows contact: ")
 
 
 def test_what_acts_in_every_run_answers_for_each_of_them(touched):
