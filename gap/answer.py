@@ -186,15 +186,22 @@ def _warnings(inquiry: Inquiry) -> list[str]:
     if setting.start_from == NOMINAL:
         out.append("no model given: geometry and mass are OctRobot-I's; give yours with --model")
     if inquiry.verdict == "unlisted_effect":
-        out.append(
-            f"the best listed effect leaves {100 * min(min(inquiry.evidence.left.values()), 1.0):.0f} % of the gap: "
-            "what causes it is none of those known here" + _pointed(inquiry.evidence)
-        )
+        out.append(f"{_leaves(inquiry.evidence)}: what causes it is none of those known here{_pointed(inquiry.evidence)}")
     if inquiry.verdict == "listed_effect":
         out += _left_over(inquiry)
     if not inquiry.base.estimate.converged:
         out.append("the base fit stopped before it converged; take the answer with care")
     return out
+
+
+def _leaves(evidence: judge.Evidence) -> str:
+    """What the best listed effect leaves, in words; of runs not fitted too, where that is what speaks against it."""
+    best = min(evidence.left, key=lambda i: evidence.left[i])
+    fitted, held_out = (min(max(by.get(best, 0.0), 0.0), 1.0) for by in (evidence.left, evidence.held_out))
+    share = f"{100 * fitted:.0f} % of the gap"
+    if held_out > fitted + judge.KEPT:
+        share = f"{100 * fitted:.0f} % of the fitted runs' gap, but {100 * held_out:.0f} % of that of runs no fit saw"
+    return f"the best listed effect leaves {share}"
 
 
 def worse(gap: Gap, chosen: Sequence[str]) -> list[str]:
@@ -227,6 +234,12 @@ def _left_over(inquiry: Inquiry) -> list[str]:
         out.append(
             f"left out of the fit, {', '.join(runs)} would close by {100 * known.min():z.0f} % alone (others "
             f"{100 * np.median(known):z.0f} %): {who} as fitted carries over badly to that condition"
+        )
+    held_out = max(inquiry.evidence.held_out.get(i, 0.0) for i in chosen.ids)
+    if held_out > max(left, 0.0) + judge.KEPT:
+        out.append(
+            f"{who} leaves {100 * left:z.0f} % of the fitted runs' gap, but {100 * held_out:.0f} % of that of runs no fit "
+            "saw: as fitted it carries over badly"
         )
     (told,) = inquiry.told_elsewhere([chosen])
     if told.min() <= 0.5:

@@ -25,6 +25,8 @@ from ljjax.modelfile import ModelFile
 LEFT_OVER, SOME = 0.1, 0.01
 """The share of the gap that is worth telling of where the effects found leave it, and from which stand-ins of few terms
 are asked."""
+SHOWN = 2.0
+"""How many times the noise's variance the base leaves at least of unseen runs that can tell what carries over."""
 ELSEWHERE = 0.05
 """The share of what effects do outside a fold from which the other folds are taken to say all about them."""
 
@@ -149,6 +151,15 @@ class Inquiry:
             out.append(self.measured.joined(float(share), refit.fitted))
         return out
 
+    def leave_held_out(self, refits: Sequence[Refit]) -> list[float]:
+        """The shares of the gap that refits leave over all runs that no fit has seen; 0 where the base leaves little
+        there, which speaks neither for nor against any."""
+        study, motions = self.setting.study, self.setting.test
+        seen = study.predict([self.base, *refits], motions)
+        before, *after = (float(np.nan_to_num(study.cost(e.error), nan=np.inf).sum()) for e in seen)
+        floor = study.floor(sum(len(m.t) for m in motions))
+        return [(x - floor) / (before - floor) if before > SHOWN * floor else 0.0 for x in after]
+
     def told_elsewhere(self, refits: Sequence[Refit]) -> list[np.ndarray]:
         """(F,) of each refit, how far what its effects do in a fold can be told from the other folds, 0 to 1: they
         change the motion there too."""
@@ -191,8 +202,9 @@ class Inquiry:
         size = {i: found.single[i].trial.size if i in found.single else 1 for i in left}
         several = [found.best, *(r for *_, r in found.exchanged)] if len(found.best.ids) > 1 else []
         asked = [*found.single.values(), *several]
-        leaves_unseen = dict(zip(asked, self.leave_unseen(asked), strict=True))
-        unseen = {i: leaves_unseen[r] for i, r in found.single.items()}
+        leave = [dict(zip(asked, self.leave_unseen(asked), strict=True))]
+        leave.append(dict(zip(asked, self.leave_held_out(asked), strict=True)))
+        unseen, held_out = ({i: by[r] for i, r in found.single.items()} for by in leave)
         used = {i: r.used[i] for i, r in found.single.items()}
         if len(found.best.ids) > 1:
             used |= found.best.used
@@ -200,17 +212,23 @@ class Inquiry:
             alone = {i: left[i] for i in found.best.ids}
             least_alone = min(alone.values())
             behind = {i: 0.15 * (x - least_alone) / max(max(alone.values()) - least, 1e-9) for i, x in alone.items()}
+
+            def stands_for(i: str, refit: Refit, place: str) -> None:
+                """What is said of effect i is what the refit says of all its effects, i in this place among them."""
+                left[i] = self.left(refit) + behind[place]
+                unseen[i], held_out[i] = (by[refit] + behind[place] for by in leave)
+
             for i in left:
                 if i in alone:  # the main one is that without which most is left
-                    left[i] = least + behind[i]
-                    unseen[i] = leaves_unseen[found.best] + behind[i]
+                    stands_for(i, found.best, i)
                 else:
                     unseen.pop(i, None)
+                    held_out.pop(i, None)
                     left[i] = left[i] / max(least_alone, 1e-9) * max(least_alone, 0.5)
             for place, i, r in found.exchanged:
-                if (as_it_does := self.left(r) + behind[place]) < left[i]:
-                    left[i], used[i] = as_it_does, r.used[i]
-                    unseen[i] = leaves_unseen[r] + behind[place]
+                if self.left(r) + behind[place] < left[i]:
+                    stands_for(i, r, place)
+                    used[i] = r.used[i]
                     size[i] = sum(p.startswith(f"effects.{i}.") for p in r.trial.start)
         chance = judge.chance(self.null, max(self.gained.values(), default=0.0), self.one)
         count = len(self.setting.study.names)
@@ -219,7 +237,7 @@ class Inquiry:
         as_given = worse < count + 4 * np.sqrt(2 * count) or self.given.total < self.base.total + matters
         excess = self.excess / max(self.floor, 1e-9)
         flexible = self._flexible()
-        return judge.Evidence(excess, left, size, self.unit, chance, bool(as_given), unseen, flexible, used)
+        return judge.Evidence(excess, left, size, self.unit, chance, bool(as_given), unseen, flexible, used, held_out)
 
     def _flexible(self) -> dict[str, float]:
         """By place, what a stand-in there leaves of the shape's gap; where the effects found leave little, nothing,

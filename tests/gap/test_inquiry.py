@@ -80,7 +80,9 @@ def test_runs_that_never_touch_an_obstacle_say_nothing_against_it(touched):
     assert sorted(told)[0] < 0.5 and sorted(told)[1:] == [1.0, 1.0]
     assert np.isnan(closes[np.argmin(told)])
     (asked.chosen,) = asked.setting.study.refit(asked.base.model, [Trial(("contact",), start)], None)
-    *_, said = _left_over(asked)
+    asked.evidence = SimpleNamespace(held_out={"contact": 0.3}, flexible={})
+    *_, unlike, said = _left_over(asked)
+    assert unlike.startswith("contact leaves ") and "but 30 % of that of runs no fit saw" in unlike
     touches = asked.setting.train[int(asked.folds[1].tolist().index(np.argmin(told)))].run.run_id
     assert said.startswith(f"of the runs fitted hardly any but {touches} shows contact: ")
 
@@ -90,3 +92,14 @@ def test_what_acts_in_every_run_answers_for_each_of_them(touched):
     left, unseen, told, closes = shares(asked, Trial(("base_tilt",), {"effects.base_tilt.tilt_rad": 0.05}))
     assert list(told) == [1.0, 1.0, 1.0] and unseen > left > 0.5
     assert np.isfinite(closes).any() and np.nanmin(closes) < 0.1
+
+
+def test_runs_that_no_fit_saw_are_asked_only_where_they_show_the_gap(touched):
+    asked, angle = touched
+    start = {"effects.contact.stop": 10.0, "effects.contact.angle_rad": angle + 0.01}
+    (refit,) = asked.setting.study.refit(asked.base.model, [Trial(("contact",), start)], None)
+    asked.setting.test = asked.setting.train  # what is left of the fitted ones is known
+    assert asked.leave_held_out([asked.base, refit]) == pytest.approx([1.0, asked.selection.own_left(refit)], abs=2e-3)
+    quiet = int(np.argmin(asked.base.loss))
+    asked.setting.test = [asked.setting.train[quiet]]
+    assert asked.leave_held_out([refit]) == [0.0]

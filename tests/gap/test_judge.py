@@ -82,6 +82,18 @@ def test_what_does_not_carry_over_to_a_condition_left_out_is_likely_a_stand_in()
     assert judge.probabilities(left)["contact"] > 0.9 and judge.probabilities(better)["tip_payload"] > 0.9
 
 
+def test_what_leaves_half_of_runs_that_no_fit_saw_is_likely_a_stand_in():
+    """However well it and its folds fit; a tenth of the gap says nothing, two runs being few."""
+    found = dataclasses.replace(evidence({"contact": 0.03, "base_tilt": 0.1}), unseen={"contact": 0.04})
+    usual, half, double = (
+        judge.probabilities(dataclasses.replace(found, held_out={"contact": x, "base_tilt": x})) for x in (0.1, 0.5, 2.0)
+    )
+    assert usual == pytest.approx(judge.probabilities(found)) and usual["contact"] > 0.9
+    assert half["unlisted_effect"] > 0.6 and double["unlisted_effect"] > 0.9
+    better = dataclasses.replace(found, held_out={"contact": 0.5, "base_tilt": 0.1})
+    assert judge.probabilities(better)["base_tilt"] > 0.9
+
+
 def test_a_cause_is_named_where_it_is_more_probable_than_what_nobody_knows():
     """What else might be it and could be told from it does not speak for it; what cannot be told from it does."""
     p = {"no_gap": 0.0, "parameters_only": 0.0, "unlisted_effect": 0.4, "contact": 0.35, "sensor_scale": 0.25}
