@@ -13,9 +13,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from ljjax import batch
 from ljjax.step import How, advance, constants, in_balance
+
+
+@contextlib.contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """With NumPy's and SciPy's linear algebra on one thread. Products of long and narrow matrices gain little by more,
+    and threads that wait for each other by spinning lose hundreds of times as much where another process has a core."""
+    with threadpool_limits(1, "blas"):
+        yield
 
 
 def tiled(kernel: Callable, arguments: Any, tile: int) -> Any:

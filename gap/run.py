@@ -9,6 +9,7 @@ import numpy as np
 from ljjax import effects, modelfile
 from ljjax.data import OCTROBOT
 from ljjax.errors import InputError
+from ljjax.fit.kernel import one_blas_thread
 from ljjax.fit.result import NOMINAL
 from ljjax.fit.run import calm, prepared
 from ljjax.fit.windows import Motion, Source, motion
@@ -24,6 +25,7 @@ LEAST = 15.0
 """The least range of an angle in units of its noise."""
 
 
+@one_blas_thread()
 def diagnose(
     model: ModelFile | None,
     runs: Sequence[Run],
