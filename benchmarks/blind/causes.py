@@ -108,6 +108,10 @@ def _ripple(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [rng.uniform(2000, 6000), rng.uniform(0.008, 0.015), float(rng.integers(7, 13)), *turn]
 
 
+def _liners(rng: np.random.Generator, setting: Setting) -> list[float]:
+    return list(rng.uniform(0.3, 1.7, JOINTS))
+
+
 def _peak(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [setting.peak_n]
 
@@ -224,37 +228,48 @@ def _seed(rng: np.random.Generator, setting: Setting) -> list[float]:
 LISTED = (
     Cause(
         *("tendon_friction", "actuation", ("direction", "load", "angle")),
-        _alike(0.05, 0.5, _between((0.03, 0.15)), _none, _sides(0.05, 0.3)),
+        (*_alike(0.05, 0.5, _between((0.03, 0.15)), _none, _sides(0.05, 0.3)), Shape(0.1, 1, _liners, ("segment",))),
     ),
     Cause(
         *("tendon_slack", "actuation", ("direction", "load")),
-        (*_alike(0.3, 6, _none, _none), Shape(2, 30, _between((15, 60)), ("time", "rate"))),
+        (
+            *_alike(0.3, 6, _none, _none),
+            Shape(2, 30, _between((15, 60)), ("time", "rate")),
+            Shape(2, 40, _between((10, 40)), ("time", "rate", "angle")),
+        ),
     ),
     Cause(
         *("actuator_lag", "actuation", ("rate", "direction", "time")),
-        _alike(0.02, 0.5, _none, _none, _between((0.3, 0.6))),
+        (
+            *_alike(0.02, 0.5, _none, _none, _between((0.3, 0.6))),
+            Shape(0.02, 0.5, _between((1.5, 4), (2, 8)), ("load",)),
+        ),
     ),
     Cause(
         *("actuator_delay", "actuation", ("rate", "direction", "time")),
-        _alike(0.02, 0.3, _between((0.05, 0.3), (0, 6)), _none, _seed),
+        _alike(0.02, 0.3, _between((0.05, 0.3), (0, 6)), _none, _seed, _sides(0.2, 0.6)),
     ),
     Cause(
         *("actuator_deadband", "actuation", ("load", "angle")),
-        _alike(0.4, 5, _none, _none, _sides(0.2, 0.6)),
+        _alike(0.4, 5, _none, _none, _sides(0.2, 0.6), _between((0.8, 2.5))),
     ),
     Cause(
         *("actuator_gain", "actuation", ("load", "angle", "everywhere", "direction")),
-        _alike(0.05, 0.5, _sides(-0.4, 0.4), _sides(0, 0), _none),
+        _alike(0.05, 0.5, _sides(-0.4, 0.4), _sides(0, 0), _none, _then(_sides(-0.4, 0.4), _between((4, 12)))),
         signed=True,
     ),
-    Cause("actuator_ripple", "actuation", ("angle", "load"), _alike(0.3, 4, _ripple, _ripple, _ripple)),
+    Cause("actuator_ripple", "actuation", ("angle", "load"), _alike(0.3, 4, _ripple, _ripple, _ripple, _ripple)),
     Cause(
         *("actuator_saturation", "actuation", ("load", "angle")),
-        (*_alike(0.3, 0.8, _peak, _peak), Shape(0.3, 0.8, _then(_peak, _between((0.2, 0.8))), ("time",))),
+        (
+            *_alike(0.3, 0.8, _peak, _peak),
+            Shape(0.3, 0.8, _then(_peak, _between((0.2, 0.8))), ("time",)),
+            Shape(0.3, 0.8, _peak),
+        ),
     ),
     Cause(
         *("pressure_lag", "jamming", ("pressure", "time", "rate")),
-        (Shape(0.5, 6, _between((0.5, 2.2))), *_alike(0.3, 4, _between((0.4, 2.5)), _between((0.4, 2.5)))),
+        (Shape(0.5, 6, _between((0.5, 2.2))), *_alike(0.3, 4, *[_between((0.4, 2.5))] * 3)),
     ),
     Cause(
         *("pressure_leak", "jamming", ("pressure", "time")),
@@ -262,16 +277,21 @@ LISTED = (
             Shape(1, 8, _between((3, 9), (3, 8))),
             Shape(0.4, 0.95, _between((1.5, 6))),
             Shape(1, 12, _between((0.2, 1)), ("angle",)),
+            Shape(1, 12, _between((0.2, 1)), ("rate",)),
         ),
     ),
-    Cause("pressure_bias", "jamming", ("pressure",), _alike(1, 8, _none, _none, _none), signed=True),
+    Cause(
+        *("pressure_bias", "jamming", ("pressure",)),
+        (*_alike(1, 8, _none, _none, _none), Shape(1, 8, _seed, ("run",))),
+        signed=True,
+    ),
     Cause(
         *("stiffness_saturation", "jamming", ("pressure",)),
-        (*_alike(1, 8, _none, _none, _none), Shape(0.3, 1, _between((6, 12)))),
+        (*_alike(1, 8, _none, _none, _none), *_alike(0.3, 1, _between((6, 12)), _between((8, 22)))),
     ),
     Cause(
         *("friction_saturation", "jamming", ("pressure",)),
-        (Shape(1, 8, _none), *_alike(0.3, 1, _between((1.5, 6)), _between((2, 7)))),
+        (Shape(1, 8, _none), *_alike(0.3, 1, _between((1.5, 6)), _between((2, 7)), _between((4, 12)))),
     ),
     Cause(
         *("layer_hysteresis", "jamming", ("direction",)),

@@ -46,8 +46,9 @@ int run(void *model, void *data, const double *robot, const double *extra, int c
         for (int i = 0; i < 2; i++) {
             d->ctrl[i] = u[2 * k + i];
             if (m->na && step == begin) d->act[i] = u[i];
-            double wrap = e->capstan ? fabs(bend) : 1;
-            m->tendon_frictionloss[i] = calm ? 0 : e->friction[i] * wrap * fabs(d->actuator_force[i]);
+            double pressed = (e->capstan ? fabs(bend) : 1) * fabs(d->actuator_force[i]);
+            if (e->capstan > 2) pressed = pow(pressed + 1e-9, 0.7); /* soft liners */
+            m->tendon_frictionloss[i] = calm ? 0 : e->friction[i] * pressed;
         }
         for (int i = 0; i < N; i++) {
             double v = d->qvel[i];

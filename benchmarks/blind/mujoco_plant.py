@@ -38,7 +38,7 @@ def session(truth: Mapping[str, float], causes: Causes, runs: Sequence[Experimen
         uneven = value["nonuniform_stiffness"] * np.array(d[1 : 1 + JOINTS])
         shares = shares if shape["nonuniform_stiffness"] == 0 else list(d[7:9])
     tilt, damping, friction = (value.get(x, 0.0) for x in ("base_tilt", "viscous_damping", "tendon_friction"))
-    capstan, each = float(shape.get("tendon_friction", 0) > 0), [1.0, 1.0]
+    capstan, each = float(shape.get("tendon_friction", 0)), [1.0, 1.0]
     if shape.get("tendon_friction") == 2:
         each = list(causes["tendon_friction"][1:3])
     tipward = float(shape.get("viscous_damping") == 2)

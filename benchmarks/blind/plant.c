@@ -86,8 +86,9 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         }
         actuate(f, &s, u, count, calm ? 0 : middle, period, h, r->lever);
         pressurise(f, &s, held(vacuum, count, 1, calm ? 0 : middle, period), calm ? 0 : h);
-        double pull[2];
-        for (int i = 0; i < 2; i++) pull[i] = past_slack(f[TENDON_SLACK], s.slack[i], s.tension[i], h);
+        double pull[2], freed[2] = {0};
+        for (int i = 0; i < N && !calm; i++) freed[0] += r->lever * s.v[i], freed[1] -= r->lever * s.v[i];
+        for (int i = 0; i < 2; i++) pull[i] = past_slack(f[TENDON_SLACK], s.slack[i], s.tension[i], freed[i], h);
         if (f[DERAILED_TENDON][0] > 0) { /* out of its guides beyond one angle, back in them within another */
             int which = (int)f[DERAILED_TENDON][1];
             double bent = 0;
@@ -128,6 +129,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 switch (form(t)) {
                 case 0: a *= 1 - loss, b *= 1 + loss; break;
                 case 1: a *= exp(-loss), b *= exp(loss); break;
+                case 3: a *= 1 - lined(t, i, s.q[i], a) * loss, b *= 1 + lined(t, i, s.q[i], b) * loss; break;
                 default: a *= 1 - t[1] * loss, b *= 1 + t[2] * loss;
                 }
             }

@@ -9,7 +9,9 @@ static double stiffening(const double *f, double P) {
     case 0: return P / cbrt(1 + knee * knee * knee);
     case 1: return P / (1 + knee);
     case 2: return -20 / f[0] * expm1(-knee);
-    default: x = P * P / (f[1] * f[1]); return (1 - f[0]) * P + f[0] * 25 * x / (1 + x);
+    case 3: x = P * P / (f[1] * f[1]); return (1 - f[0]) * P + f[0] * 25 * x / (1 + x);
+    default: /* the layers lie flat, at a knee */
+        return P - 0.5 * f[0] * (P + hypot(P - f[1], 2) - hypot(f[1], 2));
     }
 }
 
@@ -18,6 +20,7 @@ static double rubbing(const Robot *r, const double *f, double P) {
     if (f[0] <= 0) return r->c4 + r->c5 * usual;
     if (form(f) == 0) return r->c4 + r->c5 * sqrt(20 / f[0] * tanh(f[0] * P / 20));
     double other = form(f) == 1 ? (1 + f[1] / 20) * P / (P + f[1]) : expm1(-P / f[1]) / expm1(-20 / f[1]);
+    if (form(f) == 3) other = (400 + f[1] * f[1]) / 400 * P * P / (P * P + f[1] * f[1]); /* layers must meet first */
     return r->c4 + r->c5 * ((1 - f[0]) * usual + f[0] * sqrt(20) * other);
 }
 
@@ -98,5 +101,11 @@ static double rubbed(const double *f, double *guide, double q, double rate, doub
     double soft = 1e-4, wrap = fabs(q) + (form(f) == 0 ? f[1] : 0);
     *guide = (*guide + h * rate / soft) / (1 + h * fabs(rate) / soft);
     if (form(f) == 0) return f[0] * wrap * (*guide + 0.8 * rate);
+    if (form(f) == 3) return *guide;
     return f[0] * wrap * *guide * (form(f) == 1 ? 1 : 1 + 0.8 * exp(-rate * rate / 1e-5));
+}
+
+/* The same in soft liners, unevenly worn: as a power of the force that presses the tendon x on them. */
+static double lined(const double *f, int i, double q, double x) {
+    return fmin(0.4, f[0] * f[1 + i] * pow(x * (fabs(q) + 0.01) + 1e-9, 0.7) / (x + 0.3));
 }
