@@ -164,6 +164,11 @@ def _gripper(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [length / 2, rng.uniform(-0.01, 0.01), length / 4.8**0.5]
 
 
+def _bracket(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """What sits far to one side."""
+    return [rng.uniform(0, 0.02), rng.choice([-1, 1]) * rng.uniform(0.02, 0.045), rng.uniform(0.03, 0.06)]
+
+
 def _obstacle(rng: np.random.Generator, setting: Setting) -> list[float]:
     side = int(rng.integers(2))
     return [rng.uniform(0.45, 0.65) * setting.tip_m[side], (1.0, -1.0)[side]]
@@ -201,12 +206,28 @@ def _break(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [int(rng.integers(2, 6)) * setting.apart_s + rng.uniform(0.3, 0.6) * setting.seconds]
 
 
+def _knock(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """Run and time."""
+    return [float(rng.integers(1, 5)), rng.uniform(0.3, 0.6) * setting.seconds]
+
+
 def _waves(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [rng.uniform(0.8, 2.5), rng.uniform(0, 6)]
 
 
 def _spells(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [setting.seconds * (share + rng.uniform(-0.08, 0.08)) for share in (0.25, 0.5, 0.75)]
+
+
+def _beside(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """Where the tip passes it, and how far it reaches."""
+    side = int(rng.integers(2))
+    return [rng.uniform(0.25, 0.7) * setting.tip_m[side] * (1, -1)[side], rng.uniform(0.01, 0.025)]
+
+
+def _edges(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """The last angle of each joint that is seen well, to each side."""
+    return list(rng.uniform(0.35, 0.8, 2) * setting.tip_m / 0.756)
 
 
 def _markers(rng: np.random.Generator, setting: Setting) -> list[float]:
@@ -264,7 +285,7 @@ LISTED = (
         (
             *_alike(0.3, 0.8, _peak, _peak),
             Shape(0.3, 0.8, _then(_peak, _between((0.2, 0.8))), ("time",)),
-            Shape(0.3, 0.8, _peak),
+            Shape(0.4, 0.85, _peak),
         ),
     ),
     Cause(
@@ -299,41 +320,64 @@ LISTED = (
             Shape(0.02, 0.3, _none),
             Shape(0.02, 0.3, _between((0.02, 0.07), (1, 2))),
             Shape(0.04, 1, _between((0.02, 0.05)), ("angle",)),
+            Shape(0.02, 0.3, _none, ("pressure",)),
         ),
     ),
     Cause(
         *("layer_wear", "jamming", ("time", "run")),
-        (*_alike(0.3, 0.9, _between((3, 10)), _between((3, 15))), Shape(0.3, 4, _between((1, 5)))),
+        (
+            *_alike(0.3, 0.9, _between((3, 10)), _between((3, 15))),
+            Shape(0.3, 4, _between((1, 5))),
+            Shape(0.3, 0.9, _between((4, 12))),
+        ),
     ),
     Cause(
         *("viscoelastic_creep", "structure", ("time", "rate")),
-        _alike(0.3, 6, _none, _between((0.5, 6)), _between((2, 10))),
+        _alike(0.3, 6, _none, _between((0.5, 6)), _between((2, 10)), _between((0.5, 4), (3, 8))),
     ),
     Cause(
         *("viscous_damping", "structure", ("rate", "direction")),
-        (*_alike(0.05, 1.5, _none, _none), Shape(0.1, 6, _none)),
+        (*_alike(0.05, 1.5, _none, _none), Shape(0.1, 6, _none), Shape(0.1, 3, _none, ("angle",))),
     ),
     Cause(
         *("stiffness_hardening", "structure", ("angle", "load")),
-        (Shape(3, 60, _none), Shape(15, 400, _none), Shape(1, 20, _between((0.07, 0.14)), ("pressure",))),
+        (
+            *(Shape(3, 60, _none), Shape(15, 400, _none)),
+            Shape(1, 20, _between((0.07, 0.14)), ("pressure",)),
+            Shape(2, 40, _between((0.06, 0.12))),
+        ),
     ),
     Cause(
         *("rest_curvature", "structure", ("everywhere", "angle", "pressure")),
-        (*_alike(0.01, 0.25, _curved, _fixed(*[1.0] * JOINTS)), Shape(0.01, 0.2, _kinked, ("segment",))),
+        (
+            *_alike(0.01, 0.25, _curved, _fixed(*[1.0] * JOINTS)),
+            Shape(0.01, 0.2, _kinked, ("segment",)),
+            Shape(0.01, 0.2, _curved),
+        ),
         signed=True,
     ),
     Cause(
         *("base_tilt", "structure", ("everywhere", "angle", "pressure")),
-        (*_alike(0.1, 1.0, _none, _none), Shape(0.1, 0.8, _seed, ("run",))),
+        (
+            *_alike(0.1, 1.0, _none, _none),
+            Shape(0.1, 0.8, _seed, ("run",)),
+            Shape(0.1, 1.0, _between((60, 200)), ("run", "time")),
+        ),
         signed=True,
     ),
     Cause(
         *("tip_payload", "structure", ("angle", "segment", "rate")),
-        _alike(0.03, 0.4, _payload, _fixed(0, 0, 0), _gripper),
+        (
+            *_alike(0.03, 0.4, _payload, _fixed(0, 0, 0), _gripper),
+            Shape(0.03, 0.4, _bracket, ("everywhere", "pressure")),
+        ),
     ),
     Cause(
         *("gravity_distribution", "structure", ("angle", "segment")),
-        _alike(0.5, 3, _fixed(*(1 - 0.12 * (i - 2.5) for i in range(JOINTS))), _fixed(*[1.0] * JOINTS), _lump),
+        (
+            *_alike(0.5, 3, _fixed(*(1 - 0.12 * (i - 2.5) for i in range(JOINTS))), _fixed(*[1.0] * JOINTS), _lump),
+            Shape(0.5, 3, _lump, ("load",)),
+        ),
     ),
     Cause(
         *("nonuniform_stiffness", "structure", ("segment",)),
@@ -341,40 +385,53 @@ LISTED = (
             *_alike(0.1, 0.7, _then(_uneven, _fixed(1, 0.6)), _then(_uneven, _fixed(1, 1))),
             Shape(0.1, 0.6, _then(_tapered, _fixed(0.3, 1.5)), ("pressure",)),
             Shape(0.1, 0.45, _then(_weak, _fixed(1, 1))),
+            Shape(0.1, 0.7, _then(_uneven, _fixed(1, 1)), ("angle",)),
         ),
     ),
     Cause(
         *("contact", "structure", ("angle", "load")),
-        (*_alike(100, 1e4, _obstacle, _obstacle), Shape(3, 100, _bent(0.45, 0.65))),
+        (
+            *_alike(100, 1e4, _obstacle, _obstacle),
+            Shape(3, 100, _bent(0.45, 0.65)),
+            Shape(100, 1e4, _then(_obstacle, _between((0.004, 0.015)))),
+        ),
     ),
     Cause(
         *("friction_asymmetry", "friction", ("direction",)),
-        _alike(0.1, 0.65, _none, _none, _none),
+        (*_alike(0.1, 0.65, _none, _none, _none), Shape(0.1, 0.6, _none, ("angle",))),
         signed=True,
     ),
     Cause(
         *("load_dependent_friction", "friction", ("load", "pressure")),
-        (*_alike(0.2, 4, _none, _none), Shape(0.2, 4, _none, ("segment",))),
+        (*_alike(0.2, 4, _none, _none), Shape(0.2, 4, _none, ("segment",)), Shape(0.2, 4, _none, ("angle",))),
     ),
     Cause(
         *("thermal_drift", "friction", ("time", "run")),
-        (*_alike(0.2, 2.5, _which, _warming), Shape(0.2, 0.8, _between((1.5, 4)))),
+        (
+            *_alike(0.2, 2.5, _which, _warming),
+            Shape(0.2, 0.8, _between((1.5, 4))),
+            Shape(0.2, 2.5, _between((4, 12))),
+        ),
     ),
     Cause(
         *("sensor_bias", "sensing", ("everywhere",)),
-        (*_alike(0.001, 0.05, _markers, _fixed(*[1.0] * JOINTS)), Shape(0.001, 0.05, _one_marker, ("segment",))),
+        (
+            *_alike(0.001, 0.05, _markers, _fixed(*[1.0] * JOINTS)),
+            Shape(0.001, 0.05, _one_marker, ("segment",)),
+            Shape(0.001, 0.05, _then(_markers, _knock), ("run", "time")),
+        ),
         signed=True,
     ),
     Cause(
         *("sensor_scale", "sensing", ("everywhere", "angle")),
-        (*_alike(0.02, 0.12, _none, _none), Shape(0.02, 0.3, _none)),
+        (*_alike(0.02, 0.12, _none, _none), Shape(0.02, 0.3, _none), Shape(0.01, 0.15, _none, ("segment",))),
         signed=True,
     ),
     Cause(
         *("sensor_delay", "sensing", ("rate", "direction", "time")),
-        _alike(0.02, 0.3, _between((0.05, 0.2), (0, 6)), _none, _between((1.5, 4), (0, 4))),
+        _alike(0.02, 0.3, _between((0.05, 0.2), (0, 6)), _none, _between((1.5, 4), (0, 4)), _seed),
     ),
-    Cause("sensor_filter", "sensing", ("rate", "time", "direction"), _alike(0.05, 0.8, _none, _none, _none)),
+    Cause("sensor_filter", "sensing", ("rate", "time", "direction"), _alike(0.05, 0.8, _none, _none, _none, _none)),
 )
 UNLISTED = (
     Cause("jammed_joint", None, (), _alike(0.5, 12, _joint)),
@@ -390,9 +447,21 @@ UNLISTED = (
     ),
     Cause("derailed_tendon", None, (), _alike(0.1, 0.9, _derailed)),
     Cause("lost_frames", None, (), _alike(0.3, 1.6, _seed)),
+    Cause("pump_pulses", None, (), _alike(2, 15, _between((0.3, 1.5)))),
+    Cause("magnet", None, (), _alike(0.1, 5, _beside)),
+    Cause("rough_patch", None, (), _alike(0.1, 5, _beside)),
+    Cause("edge_of_view", None, (), _alike(0.1, 0.95, _edges)),
 )
 CAUSES = {cause.id: cause for cause in (*LISTED, *UNLISTED)}
-SENSING = ("sensor_bias", "sensor_scale", "sensor_delay", "sensor_filter", "camera_wander", "lost_frames")
+SENSING = (
+    "sensor_bias",
+    "sensor_scale",
+    "sensor_delay",
+    "sensor_filter",
+    "camera_wander",
+    "lost_frames",
+    "edge_of_view",
+)
 BLOCKS = {cause.id: cause.block for cause in LISTED}
 
 

@@ -10,7 +10,7 @@ typedef struct {
 } Robot;
 
 typedef struct { /* the plant's numbers beside MuJoCo's own */
-    double tilt, damping, tipward, friction[2], capstan, base_share, added_share, uneven[N];
+    double tilt, damping, where, friction[2], capstan, base_share, added_share, uneven[N];
 } Extra;
 
 static double friction(const Robot *r, double phi, double z, double v, double h, double *slope, double *next) {
@@ -61,7 +61,8 @@ int run(void *model, void *data, const double *robot, const double *extra, int c
             }
             double torque = friction(r, phi, z[i], v, h, &slope, &next);
             d->qfrc_applied[i] -= torque - slope * v;
-            m->dof_damping[i] = slope + e->damping * (e->tipward ? 0.4 + 0.24 * i : 1);
+            double q = d->qpos[i], squeezed = 0.2 + fmin(q * q / 0.02, 4);
+            m->dof_damping[i] = slope + e->damping * (e->where == 2 ? 0.4 + 0.24 * i : e->where == 3 ? squeezed : 1);
         }
         mj_step(m, d);
         for (int i = 0; i < N && !calm; i++) {

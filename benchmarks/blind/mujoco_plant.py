@@ -16,7 +16,7 @@ from typing import Any
 import mujoco as _mujoco
 import numpy as np
 
-from benchmarks.blind.plant import JOINTS, Causes, Diverged, Motion, compiled, form, pointer
+from benchmarks.blind.plant import APART_S, JOINTS, Causes, Diverged, Motion, compiled, form, pointer
 from benchmarks.recovery.experiments import PERIOD_S, Experiment
 from benchmarks.recovery.robots import CENTRE
 
@@ -41,14 +41,17 @@ def session(truth: Mapping[str, float], causes: Causes, runs: Sequence[Experimen
     capstan, each = float(shape.get("tendon_friction", 0)), [1.0, 1.0]
     if shape.get("tendon_friction") == 2:
         each = list(causes["tendon_friction"][1:3])
-    tipward = float(shape.get("viscous_damping") == 2)
-    extra = np.array([tilt, damping, tipward, friction * each[0], friction * each[1], capstan, *shares, *uneven])
+    where = float(shape.get("viscous_damping", 0))
+    extra = np.array([tilt, damping, where, friction * each[0], friction * each[1], capstan, *shares, *uneven])
     model = mujoco.MjModel.from_xml_string(xml(truth, causes))
     motions = []
     for i, run in enumerate(runs):
         count = len(run.pressure_kpa)
         if shape.get("base_tilt") == 2:  # mounted anew for each run
             leaning = tilt * np.random.default_rng([int(causes["base_tilt"][1]), i]).uniform(0.5, 1.5)
+            extra[0], model.opt.gravity[:] = leaning, _gravity(leaning)
+        if shape.get("base_tilt") == 3:  # a mount that sags, here between the runs
+            leaning = tilt * (1 - 0.8 * np.exp(-i * APART_S / causes["base_tilt"][1]))
             extra[0], model.opt.gravity[:] = leaning, _gravity(leaning)
         data = mujoco.MjData(model)
         u, vacuum = np.ascontiguousarray(run.tendons), np.ascontiguousarray(run.pressure_kpa)
@@ -102,7 +105,7 @@ def xml(truth: Mapping[str, float], causes: Causes) -> str:
     wall = ""
     if stop and not limits:
         strength, where, side = stop[:3]
-        soft = "0.01 1" if form(stop) == 0 else "0.04 0.7"
+        soft = ("0.01 1", "0.04 0.7", "", "0.07 0.9")[form(stop)]
         away = where * (2.1 - 1.5 * strength / (strength + 1000))  # stronger is nearer
         body += f'<geom type="sphere" size="0.002" pos="0 0 {-half:.9g}" mass="1e-9" conaffinity="2" contype="1"/>'
         wall = (

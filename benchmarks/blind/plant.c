@@ -73,7 +73,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         if (step == 0) {
             for (int i = 0; i < N; i++) {
                 s.v[i] = s.omega_mid[i] = s.z[i] = s.guide[i] = 0;
-                for (int k = 0; k < PLAYS; k++) s.play[i][k] = form(f[LAYER_HYSTERESIS]) == 0 ? s.q[i] : 0;
+                for (int k = 0; k < PLAYS; k++) s.play[i][k] = form(f[LAYER_HYSTERESIS]) % 3 == 0 ? s.q[i] : 0;
                 for (int k = 0; k < 4; k++) s.branch[i][k] = s.q[i];
                 s.pendulum += s.q[i];
             }
@@ -85,7 +85,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             line_out[k] = s.line, warm_out[k] = c->felt;
         }
         actuate(f, &s, u, count, calm ? 0 : middle, period, h, r->lever);
-        pressurise(f, &s, held(vacuum, count, 1, calm ? 0 : middle, period), calm ? 0 : h);
+        pressurise(f, &s, held(vacuum, count, 1, calm ? 0 : middle, period), calm ? 0 : middle, calm ? 0 : h);
         double pull[2], freed[2] = {0};
         for (int i = 0; i < N && !calm; i++) freed[0] += r->lever * s.v[i], freed[1] -= r->lever * s.v[i];
         for (int i = 0; i < 2; i++) pull[i] = past_slack(f[TENDON_SLACK], s.slack[i], s.tension[i], freed[i], h);
@@ -139,10 +139,12 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             double q = s.q[i], of = alpha2;
             if (f[NONUNIFORM_STIFFNESS][0] > 0) {
                 const double *d = f[NONUNIFORM_STIFFNESS];
-                of += d[0] * d[1 + i] * (d[7] * (alpha2 - added) + d[8] * added);
+                double seam = form(d) == 4 ? 0.6 + 0.5 * tanh(q / 0.02) : 1; /* that resists to one side */
+                of += d[0] * d[1 + i] * seam * (d[7] * (alpha2 - added) + d[8] * added);
                 if (of < 0.05 * alpha2) of = 0.05 * alpha2;
             }
             double free = f[REST_CURVATURE][0] * f[REST_CURVATURE][1 + i];
+            if (form(f[REST_CURVATURE]) == 3) free *= 0.3 + P / 20; /* a sheath that pulls to one side */
             double sprung = form(f[REST_CURVATURE]) == 2 ? r->c3 : of;
             torque[i] = of * q - sprung * free - r->lever * (left[i] - right[i]);
             if (f[STIFFNESS_HARDENING][0] != 0) torque[i] += hardened(f[STIFFNESS_HARDENING], q, alpha2 / r->c3);
@@ -160,6 +162,8 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 torque[i] -= f[BASE_VIBRATION][0] * (N - i) / N *
                              sin(TURN * f[BASE_VIBRATION][1] * (session + t) + f[BASE_VIBRATION][2]);
             phi_i[i] = phi;
+            if (pressed[0] > 0 && form(pressed) == 3) /* tendons press where they are bent */
+                phi_i[i] += pressed[0] * load * fabs(q) / 0.1;
             if (pressed[0] > 0 && form(pressed) == 2)
                 phi_i[i] += pressed[0] * 10 * load / (load + 10) * (1.5 - 0.2 * i);
             if (f[LAYER_WEAR][0] > 0) {
@@ -167,6 +171,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 switch (form(f[LAYER_WEAR])) {
                 case 0: phi_i[i] *= 1 - f[LAYER_WEAR][0] * x / (1 + x); break;
                 case 1: phi_i[i] *= 1 + f[LAYER_WEAR][0] * expm1(-slid); break;
+                case 3: phi_i[i] *= 1 - f[LAYER_WEAR][0] / (1 + pow(slid + 1e-6, -4)); break; /* a coat wears through */
                 default: phi_i[i] /= 1 + f[LAYER_WEAR][0] * log1p(slid);
                 }
             }
@@ -182,22 +187,26 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             extra[i] = calm ? 0.3 : 0;
         }
         /* In absolute angles: gravity, Coriolis, contact at the tip. */
-        double tilt = f[BASE_TILT][0], depth = -f[CONTACT][1], slip = 0, rate[N], sum = 0;
+        double tilt = f[BASE_TILT][0], aside = 0, swept = 0, rate[N], sum = 0;
         double uneven = form(f[BASE_TILT]) == 0 ? 0.15 : 0;
         if (form(f[BASE_TILT]) == 2) tilt *= 0.5 + chance(session + f[BASE_TILT][1]); /* mounted anew for each run */
+        if (form(f[BASE_TILT]) == 3) /* a mount that sags */
+            tilt *= 1 - 0.8 * exp(-(session + fmax(t, 0)) / f[BASE_TILT][1]);
         double tipward = r->alpha1 * cosine;
         tipward *= sinp[N - 1] * cos(tilt) - cosp[N - 1] * sin(tilt) * (1 + uneven * sinp[N - 1]);
         for (int i = 0; i < N; i++) {
             rate[i] = sum += s.v[i];
-            depth += f[CONTACT][2] * length[i] * sinp[i];
-            slip += f[CONTACT][2] * length[i] * cosp[i] * rate[i];
+            aside += length[i] * sinp[i];
+            swept += length[i] * cosp[i] * rate[i];
         }
-        double push = 0;
+        double depth = f[CONTACT][2] * aside - f[CONTACT][1], slip = f[CONTACT][2] * swept, push = 0;
         if (f[CONTACT][0] > 0 && depth > 0) {
             if (form(f[CONTACT]) == 0) push = f[CONTACT][0] * depth * sqrt(depth) * clamp(1 + 3 * slip, 0, 3);
             if (form(f[CONTACT]) == 1) push = f[CONTACT][0] * depth;
+            if (form(f[CONTACT]) == 3) /* foam on something hard */
+                push = f[CONTACT][0] * (0.15 * depth + fmax(0, depth - f[CONTACT][3]));
         }
-        double blown = 0;
+        double blown = 0, pulled = calm ? 0 : beside(f, &s.dragged, aside, swept, h);
         const double *air = f[DRAUGHT];
         if (air[0] > 0 && !calm)
             for (int k = 1; k < 5; k++)
@@ -216,12 +225,15 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 mass[i][j] = inertia[i][j] * cosine_ij / half;
                 spun += inertia[i][j] * (sinp[i] * cosp[j] - cosp[i] * sinp[j]) * s.omega_mid[j] * s.omega_mid[j];
             }
-            around[i] = spun + (i == N - 1 ? tipward : 0) + (f[CONTACT][2] * push - blown) * length[i] * cosp[i];
+            around[i] = spun + (i == N - 1 ? tipward : 0) + (f[CONTACT][2] * push - blown + pulled) * length[i] * cosp[i];
             if (payload > 0) {
                 around[i] += payload * 9.81 * arm[i] * sinp[i];
                 if (i == N - 1) around[i] += payload * 9.81 * f[TIP_PAYLOAD][2] * cosp[i];
             }
-            if (spread > 0) around[i] += spread * weight[i] * f[GRAVITY_DISTRIBUTION][1 + i] * sinp[i];
+            if (spread > 0) {
+                double hose = 2 * sinp[i] * sinp[i] * (form(f[GRAVITY_DISTRIBUTION]) == 3); /* lifted off the floor */
+                around[i] += spread * weight[i] * f[GRAVITY_DISTRIBUTION][1 + i] * sinp[i] * (1 + hose);
+            }
         }
 
         /* Newton for the velocity at mid-step. */
@@ -247,7 +259,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                     d_z[i] = half * (1 - slope * mid_z[i]) / scale;
                     tau[i] = torque[i] + phi_i[i] * ((1 + memory) * mid_z[i] - memory * s.z[i] + r->sigma2 * v);
                     d_tau[i] = phi_i[i] * ((1 + memory) * d_z[i] + r->sigma2);
-                    if (f[VISCOUS_DAMPING][0] > 0) tau[i] += damped(f[VISCOUS_DAMPING], i, v, &d_tau[i]);
+                    if (f[VISCOUS_DAMPING][0] > 0) tau[i] += damped(f[VISCOUS_DAMPING], i, s.q[i], v, &d_tau[i]);
                 }
                 relative += mid[i] - s.v[i];
                 gain[i] = relative;

@@ -13,7 +13,7 @@ enum { /* the order of causes.py */
     LAYER_HYSTERESIS, LAYER_WEAR, VISCOELASTIC_CREEP, VISCOUS_DAMPING, STIFFNESS_HARDENING, REST_CURVATURE, BASE_TILT,
     TIP_PAYLOAD, GRAVITY_DISTRIBUTION, NONUNIFORM_STIFFNESS, CONTACT, FRICTION_ASYMMETRY, LOAD_DEPENDENT_FRICTION,
     THERMAL_DRIFT, JAMMED_JOINT, BASE_VIBRATION, BUCKLING_FRICTION, GLUE_FAILURE, SNAP_THROUGH, HIDDEN_PENDULUM,
-    DROPOUT, DRAUGHT, DERAILED_TENDON, CAUSES
+    DROPOUT, DRAUGHT, DERAILED_TENDON, PUMP_PULSES, MAGNET, ROUGH_PATCH, CAUSES
 };
 
 typedef struct {
@@ -27,7 +27,7 @@ typedef struct {
     double q[N], v[N], z[N], omega_mid[N];
     double first[2], tension[2], surge[2], breakaway[2], hot[2], slack[2][2], guide[N], derailed; /* actuation */
     double line, feed, fore, deep, sheath, seal;                                                  /* pressure */
-    double play[N][PLAYS], branch[N][4], loading[N], pendulum, pendulum_rate;                     /* structure */
+    double play[N][PLAYS], branch[N][4], loading[N], pendulum, pendulum_rate, dragged;            /* structure */
     double session;
 } State;
 
@@ -64,7 +64,7 @@ static double given(const double *f, double session, double t, int i) {
 
 static double saturated(const double *f, double *hot, double x, double other, double h) {
     double top = f[1] * (1 - f[0]);
-    if (form(f) == 3) return x / pow(1 + pow((x + other) / top, 8), 1 / 8.0); /* one supply for both drives */
+    if (form(f) == 3) return x / pow(1 + pow((x + other) / (1.6 * top), 8), 1 / 8.0); /* one supply for both drives */
     if (form(f) == 0) return x > top ? top + 0.04 * (x - top) : x;
     if (form(f) == 1) return x / pow(1 + pow(x / top, 6), 1 / 6.0);
     *hot += h * ((x > top) - *hot) / f[2];
@@ -188,8 +188,8 @@ static double leaked(const double *f, State *s, double p, double h) {
     return p / (1 + f[0] * s->seal);
 }
 
-/* Vacuum in the line and in the sheath [kPa] from the commanded one. */
-static void pressurise(const double f[][WIDTH], State *s, double commanded, double h) {
+/* Vacuum in the line and in the sheath [kPa] from the commanded one; t: since the run began [s]. */
+static void pressurise(const double f[][WIDTH], State *s, double commanded, double t, double h) {
     s->line = commanded;
     double inside = commanded, b = f[PRESSURE_BIAS][0];
     switch (form(f[PRESSURE_BIAS])) {
@@ -198,6 +198,8 @@ static void pressurise(const double f[][WIDTH], State *s, double commanded, doub
     case 3: inside += b * (0.5 + chance(s->session + f[PRESSURE_BIAS][1])); break; /* zeroed anew for each run */
     default: inside += b * (1 - exp(-commanded / 4));
     }
+    if (f[PUMP_PULSES][0] > 0) /* that a damped gauge does not show */
+        inside += f[PUMP_PULSES][0] * sin(TURN * f[PUMP_PULSES][1] * (s->session + t)) * commanded / (commanded + 3);
     if (f[PRESSURE_LAG][0] > 0) inside = s->sheath = filled(f[PRESSURE_LAG], s, inside, h);
     if (f[PRESSURE_LEAK][0] > 0) inside = leaked(f[PRESSURE_LEAK], s, inside > 0 ? inside : 0, h);
     s->sheath = inside > 0 ? inside : 0;

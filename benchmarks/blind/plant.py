@@ -22,7 +22,7 @@ IDS = (
     *("viscous_damping", "stiffness_hardening", "rest_curvature", "base_tilt", "tip_payload", "gravity_distribution"),
     *("nonuniform_stiffness", "contact", "friction_asymmetry", "load_dependent_friction", "thermal_drift"),
     *("jammed_joint", "base_vibration", "buckling_friction", "glue_failure", "snap_through", "hidden_pendulum"),
-    *("dropout", "draught", "derailed_tendon"),
+    *("dropout", "draught", "derailed_tendon", "pump_pulses", "magnet", "rough_patch"),
 )
 """The causes that act in the plant, in the order of `plant.c`."""
 WIDTH = 10

@@ -24,25 +24,36 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
     q = motion.q if columns > 1 else motion.q.mean(axis=1, keepdims=True)
     t = np.arange(len(q)) * PERIOD_S
     at = t[::SHAPE_EVERY]
-    if f := causes.get("sensor_filter"):
-        q = (_averaged, _smoothed, _exposed)[form(f)](q, f[0])
+    if (f := causes.get("sensor_filter")) and f[0] > 0:
+        q = (_averaged, _smoothed, _exposed, _calmed)[form(f)](q, f[0])
     if f := causes.get("sensor_delay"):
         late = f[0] * np.ones(len(at))
         if form(f) == 0:
             late *= 1 + 0.15 * np.sin(2 * np.pi * f[1] * at + f[2])
         elif form(f) == 2:  # frames queue up until the queue is emptied
             late *= 0.5 + (at + f[2]) / f[1] % 1
+        elif form(f) == 3:  # a computer that is busy by spells
+            spells = np.random.default_rng([int(f[1]), run]).uniform(0.3, 1.7, int(at[-1]) + 1)
+            late *= spells[at.astype(int)]
         y = np.stack([np.interp(at - late, t, x) for x in q.T], axis=1)
     else:
         y = q[::SHAPE_EVERY].copy()
     if f := causes.get("sensor_scale"):
         if form(f) == 2:  # the camera looks from one side
             y *= 1 + f[0] * (0.3 + np.tanh(y / 0.15))
+        elif form(f) == 3:  # a lens that stretches what is off the middle
+            aside = np.cumsum(y, axis=1) if columns > 1 else 3.5 * y
+            y *= 1 + f[0] * (aside / 0.5) ** 2
         else:
             y += f[0] * y * (1 - 0.1 * (y / 0.6) ** 2 * (form(f) == 0))
     if f := causes.get("sensor_bias"):
         offsets = np.array(f[1 : 1 + columns]) if columns > 1 else np.ones(1)
-        y += f[0] * offsets * (np.cos(y) if form(f) == 0 else 1)
+        if form(f) == 3:  # markers knocked in the middle of a run
+            y[at + 1e3 * (run - f[7]) >= f[8]] += f[0] * offsets
+        else:
+            y += f[0] * offsets * (np.cos(y) if form(f) == 0 else 1)
+    if f := causes.get("edge_of_view"):  # the ends of the picture, where markers hardly get on
+        y += f[0] * (np.maximum(-y - f[2], 0) - np.maximum(y - f[1], 0))
     if f := causes.get("camera_wander"):
         rng = np.random.default_rng([int(f[1]), run])
         for hz in (0.04, 0.09, 0.17, 0.31):
@@ -79,6 +90,15 @@ def _smoothed(q: Array, seconds: float) -> Array:
     """A filter of first order, from rest."""
     decay = np.exp(-PERIOD_S * np.arange(round(8 * seconds / PERIOD_S) + 1) / seconds)
     return _weighted(q, decay / decay.sum())
+
+
+def _calmed(q: Array, seconds: float) -> Array:
+    """A filter of first order that smooths less the faster it moves."""
+    out, rate = q.copy(), np.zeros_like(q[0])
+    for k in range(1, len(q)):
+        rate += 0.1 * ((q[k] - q[k - 1]) / PERIOD_S - rate)
+        out[k] = out[k - 1] + (q[k] - out[k - 1]) * -np.expm1(-PERIOD_S * (1 + np.abs(rate) / 0.2) / seconds)
+    return out
 
 
 def _weighted(q: Array, weight: Array) -> Array:

@@ -34,6 +34,11 @@ static void warmed(const double *f, double warm, double *phi, double *alpha2, do
         *phi *= 1 - f[0] * x, *alpha2 *= share, *added *= share;
         return;
     }
+    if (form(f) == 3) { /* it rubs most when lukewarm, and softens */
+        x = warm / f[1], share = 1 - 0.2 * f[0] * x / (1 + x);
+        *phi *= 1 + f[0] * x * exp(1 - x), *alpha2 *= share, *added *= share;
+        return;
+    }
     share = form(f) == 0 ? exp(-f[0] * x * sqrt(1 + x)) : fmax(0.1, 1 + f[2] * f[0] * x);
     if (f[1] < 0.5) *phi *= share; else *alpha2 *= share, *added *= share;
 }
@@ -42,6 +47,14 @@ static void warmed(const double *f, double warm, double *phi, double *alpha2, do
 static double remembered(const double *f, double play[PLAYS], double q, double dq, double P) {
     static const double width[PLAYS] = {0.01, 0.03, 0.07, 0.14}, share[PLAYS] = {0.4, 0.28, 0.2, 0.12};
     double x = 0.25 * tanh(q / 0.25), sum = 0, *z = play, steep;
+    if (form(f) == 3) { /* springs that slip, the later the more they are pressed */
+        for (int k = 0; k < PLAYS; k++) {
+            double most = width[k] * (0.3 + P / 15);
+            play[k] = clamp(play[k], q - most, q + most);
+            sum += share[k] * (q - play[k]) / 0.03;
+        }
+        return sum;
+    }
     if (form(f) == 0) {
         for (int k = 0; k < PLAYS; k++) {
             play[k] = clamp(play[k], x - width[k], x + width[k]);
@@ -66,16 +79,25 @@ static double crept(const double *f, double branch[4], double q, double h) {
         }
         return sum;
     }
+    if (form(f) == 3) { /* it comes back more slowly than it went */
+        branch[0] += h * over / (f[1] * (over * q > 0 ? 1 : f[2]));
+        return q - branch[0];
+    }
     branch[0] += h / f[1] * (form(f) == 1 ? over : 0.04 * sinh(clamp(over / 0.04, -7, 7)));
     return q - branch[0];
 }
 
 /* Torque of joint i's damping, and its slope added. */
-static double damped(const double *f, int i, double v, double *slope) {
+static double damped(const double *f, int i, double q, double v, double *slope) {
     double v0 = 0.25, of = f[0] * (0.4 + 0.24 * i);
     if (form(f) == 0) {
         *slope += f[0] / sqrt(1 + v * v / (v0 * v0));
         return f[0] * v0 * asinh(v / v0);
+    }
+    if (form(f) == 3) { /* grease that is squeezed where it is bent */
+        of = f[0] * (0.2 + fmin(q * q / 0.02, 4));
+        *slope += of;
+        return of * v;
     }
     *slope += form(f) == 1 ? f[0] : 2 * of * fabs(v);
     return form(f) == 1 ? f[0] * v : of * v * fabs(v);
@@ -84,6 +106,10 @@ static double damped(const double *f, int i, double v, double *slope) {
 static double hardened(const double *f, double q, double share) {
     if (form(f) == 0) return f[0] * q * fabs(q);
     if (form(f) == 1) return f[0] * q * q * q;
+    if (form(f) == 3) { /* a sheath that comes taut */
+        double over = fabs(q) - f[1];
+        return 0.5 * f[0] * sign(q) * (fabs(q) + hypot(over, 0.02) - hypot(f[1], 0.02));
+    }
     double x = clamp(q / f[1], -6, 6);
     return f[0] * share * f[1] * (sinh(x) - x);
 }
@@ -92,6 +118,10 @@ static double hardened(const double *f, double q, double share) {
 static double lopsided(const double *f, double *loading, double q, double v, double h) {
     if (form(f) == 0) return f[0] * tanh(q / 0.02) * tanh(v / 0.01);
     if (form(f) == 1) return f[0] * tanh(q / 0.002) * tanh(v / 0.002);
+    if (form(f) == 3) { /* the more, the more it is bent */
+        double x = fabs(q) / 0.06;
+        return 1.5 * f[0] * x / (1 + x) * tanh(q / 0.005) * tanh(v / 0.004);
+    }
     *loading += clamp(h * fabs(v) / 0.02, 0, 1) * (sign(q * v) - *loading);
     return f[0] * *loading;
 }
@@ -108,4 +138,20 @@ static double rubbed(const double *f, double *guide, double q, double rate, doub
 /* The same in soft liners, unevenly worn: as a power of the force that presses the tendon x on them. */
 static double lined(const double *f, int i, double q, double x) {
     return fmin(0.4, f[0] * f[1 + i] * pow(x * (fabs(q) + 0.01) + 1e-9, 0.7) / (x + 0.3));
+}
+
+/* What the surroundings hold the tip back with [N]: a magnet that it passes, a rough patch that it drags over. */
+static double beside(const double f[][WIDTH], double *dragged, double x, double rate, double h) {
+    const double *m = f[MAGNET], *r = f[ROUGH_PATCH];
+    double force = 0, soft = 1e-3;
+    if (m[0] > 0) {
+        double u = (x - m[1]) / m[2];
+        force += m[0] * 3.08 * u / ((1 + u * u) * (1 + u * u));
+    }
+    if (r[0] > 0) {
+        double u = (x - r[1]) / r[2];
+        *dragged = (*dragged + h * rate / soft) / (1 + h * fabs(rate) / soft);
+        force += r[0] * *dragged / (1 + u * u * u * u);
+    }
+    return force;
 }

@@ -129,7 +129,7 @@ def test_the_published_page_is_what_the_kept_answers_give(tmp_path):
     assert (tmp_path / "blind.md").read_text(encoding="utf-8") == (page.DOCS / "blind.md").read_text(encoding="utf-8")
 
 
-def test_every_shape_of_every_cause_changes_what_the_camera_sees():
+def test_every_shape_of_every_cause_changes_what_the_camera_sees_and_vanishes_at_strength_0():
     robot = draw(1, seed=1)[0]
     runs = plan(robot, 5.0, seed=1)[4:6]  # at all pressures
     setting = causes.Setting(max(float(run.tendons.max()) for run in runs), np.array([0.1, 0.1]), 5.0, 5.0)
@@ -146,8 +146,11 @@ def test_every_shape_of_every_cause_changes_what_the_camera_sees():
                 numbers = shape.numbers(np.random.default_rng(1), setting)
                 there = angles(session, {name: causes.row(form, shape.start, numbers)})
                 assert np.all(np.isfinite(there)), (name, form)
-                changes.add(round(float(np.abs(there - usual).max()), 6))
-            assert 0.0 not in changes
+                changes.add(round(float(np.sqrt(np.mean((there - usual) ** 2))), 9))
+                if session == plant.session:
+                    without = angles(session, {name: causes.row(form, 0.0, numbers)})
+                    assert np.allclose(without, usual, rtol=0, atol=1e-9), (name, form)
+            assert 0.0 not in changes, name
             assert session != plant.session or len(changes) == len(causes.CAUSES[name].shapes)  # no two the same
 
 
