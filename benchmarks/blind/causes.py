@@ -308,11 +308,11 @@ LISTED = (
     ),
     Cause(
         *("stiffness_saturation", "jamming", ("pressure",)),
-        (*_alike(1, 8, _none, _none, _none), *_alike(0.3, 1, _between((6, 12)), _between((8, 22)))),
+        (*_alike(1, 8, _none, _none, _none), *_alike(0.3, 1, _between((6, 12)), _between((5, 14)))),
     ),
     Cause(
         *("friction_saturation", "jamming", ("pressure",)),
-        (Shape(1, 8, _none), *_alike(0.3, 1, _between((1.5, 6)), _between((2, 7)), _between((4, 12)))),
+        (Shape(1, 8, _none), *_alike(0.3, 1, _between((1.5, 6)), _between((2, 7)), _between((5, 12)))),
     ),
     Cause(
         *("layer_hysteresis", "jamming", ("direction",)),
@@ -398,7 +398,7 @@ LISTED = (
     ),
     Cause(
         *("friction_asymmetry", "friction", ("direction",)),
-        (*_alike(0.1, 0.65, _none, _none, _none), Shape(0.1, 0.6, _none, ("angle",))),
+        (*_alike(0.1, 0.65, _none, _none, _none), Shape(0.1, 0.65, _none, ("angle",))),
         signed=True,
     ),
     Cause(
@@ -424,7 +424,7 @@ LISTED = (
     ),
     Cause(
         *("sensor_scale", "sensing", ("everywhere", "angle")),
-        (*_alike(0.02, 0.12, _none, _none), Shape(0.02, 0.3, _none), Shape(0.01, 0.15, _none, ("segment",))),
+        (*_alike(0.02, 0.12, _none, _none), Shape(0.02, 0.3, _none), Shape(0.02, 0.22, _none, ("segment",))),
         signed=True,
     ),
     Cause(

@@ -217,7 +217,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             s.pendulum += h * s.pendulum_rate;
             tipward += f[HIDDEN_PENDULUM][0] * (psi[N - 1] - s.pendulum);
         }
-        double mass[N][N];
+        double mass[N][N], across = f[CONTACT][2] * push - blown + pulled;
         for (int i = 0; i < N; i++) {
             double spun = 0;
             for (int j = 0; j < N; j++) {
@@ -225,7 +225,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 mass[i][j] = inertia[i][j] * cosine_ij / half;
                 spun += inertia[i][j] * (sinp[i] * cosp[j] - cosp[i] * sinp[j]) * s.omega_mid[j] * s.omega_mid[j];
             }
-            around[i] = spun + (i == N - 1 ? tipward : 0) + (f[CONTACT][2] * push - blown + pulled) * length[i] * cosp[i];
+            around[i] = spun + (i == N - 1 ? tipward : 0) + across * length[i] * cosp[i];
             if (payload > 0) {
                 around[i] += payload * 9.81 * arm[i] * sinp[i];
                 if (i == N - 1) around[i] += payload * 9.81 * f[TIP_PAYLOAD][2] * cosp[i];

@@ -195,7 +195,7 @@ static void pressurise(const double f[][WIDTH], State *s, double commanded, doub
     switch (form(f[PRESSURE_BIAS])) {
     case 0: inside += b * (1 + 0.2 * tanh((commanded - 20) / 12)); break;
     case 1: inside += b; break;
-    case 3: inside += b * (0.5 + chance(s->session + f[PRESSURE_BIAS][1])); break; /* zeroed anew for each run */
+    case 3: inside += b * (0.2 + 1.6 * chance(s->session + f[PRESSURE_BIAS][1])); break; /* zeroed anew for each run */
     default: inside += b * (1 - exp(-commanded / 4));
     }
     if (f[PUMP_PULSES][0] > 0) /* that a damped gauge does not show */

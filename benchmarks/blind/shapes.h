@@ -11,7 +11,7 @@ static double stiffening(const double *f, double P) {
     case 2: return -20 / f[0] * expm1(-knee);
     case 3: x = P * P / (f[1] * f[1]); return (1 - f[0]) * P + f[0] * 25 * x / (1 + x);
     default: /* the layers lie flat, at a knee */
-        return P - 0.5 * f[0] * (P + hypot(P - f[1], 2) - hypot(f[1], 2));
+        return (1 - f[0]) * P + f[0] * 17.5 / f[1] * (P - hypot(P - f[1], 2) + hypot(f[1], 2));
     }
 }
 
@@ -20,7 +20,8 @@ static double rubbing(const Robot *r, const double *f, double P) {
     if (f[0] <= 0) return r->c4 + r->c5 * usual;
     if (form(f) == 0) return r->c4 + r->c5 * sqrt(20 / f[0] * tanh(f[0] * P / 20));
     double other = form(f) == 1 ? (1 + f[1] / 20) * P / (P + f[1]) : expm1(-P / f[1]) / expm1(-20 / f[1]);
-    if (form(f) == 3) other = (400 + f[1] * f[1]) / 400 * P * P / (P * P + f[1] * f[1]); /* layers must meet first */
+    double met = P * P * P / (f[1] * f[1] * f[1]), usually = 8000 / (f[1] * f[1] * f[1]);
+    if (form(f) == 3) other = (1 + usually) / usually * met / (1 + met); /* layers must meet first */
     return r->c4 + r->c5 * ((1 - f[0]) * usual + f[0] * sqrt(20) * other);
 }
 
@@ -118,12 +119,9 @@ static double hardened(const double *f, double q, double share) {
 static double lopsided(const double *f, double *loading, double q, double v, double h) {
     if (form(f) == 0) return f[0] * tanh(q / 0.02) * tanh(v / 0.01);
     if (form(f) == 1) return f[0] * tanh(q / 0.002) * tanh(v / 0.002);
-    if (form(f) == 3) { /* the more, the more it is bent */
-        double x = fabs(q) / 0.06;
-        return 1.5 * f[0] * x / (1 + x) * tanh(q / 0.005) * tanh(v / 0.004);
-    }
     *loading += clamp(h * fabs(v) / 0.02, 0, 1) * (sign(q * v) - *loading);
-    return f[0] * *loading;
+    if (form(f) == 2) return f[0] * *loading;
+    return 1.4 * f[0] * *loading * q * q / (q * q + 0.0009); /* the more, the more it is bent */
 }
 
 /* What a tendon loses on joint i, and what the other one gains: shares of tension. */
