@@ -186,7 +186,9 @@ def _warnings(inquiry: Inquiry) -> list[str]:
     if setting.start_from == NOMINAL:
         out.append("no model given: geometry and mass are OctRobot-I's; give yours with --model")
     if inquiry.verdict == "unlisted_effect":
-        out.append(f"{_leaves(inquiry.evidence)}: what causes it is none of those known here{_pointed(inquiry.evidence)}")
+        out.append(
+            f"{_leaves(inquiry.evidence)}: what causes it is none of those known here{_pointed(inquiry.evidence)}"
+        )
     if inquiry.verdict == "listed_effect":
         out += _left_over(inquiry)
     if not inquiry.base.estimate.converged:
@@ -238,8 +240,8 @@ def _left_over(inquiry: Inquiry) -> list[str]:
     held_out = max(inquiry.evidence.held_out.get(i, 0.0) for i in chosen.ids)
     if held_out > max(left, 0.0) + judge.KEPT:
         out.append(
-            f"{who} leaves {100 * left:z.0f} % of the fitted runs' gap, but {100 * held_out:.0f} % of that of runs no fit "
-            "saw: as fitted it carries over badly"
+            f"{who} leaves {100 * left:z.0f} % of the fitted runs' gap, but {100 * held_out:.0f} % of that of runs no "
+            "fit saw: as fitted it carries over badly"
         )
     (told,) = inquiry.told_elsewhere([chosen])
     if told.min() <= 0.5:

@@ -66,7 +66,7 @@ def told(rows: Sequence[Row], by: Sequence[Weights]) -> dict[str, Any]:
     for r, w in zip(rows, by, strict=True):
         p = probabilities(Evidence(**r["evidence"]), w)
         top = max(p, key=lambda i: p[i])
-        ranked.append({"top": [(top, p[top])], "top_right": top in r["right"], "brier": 0.0})
+        ranked.append({"top": [top], "stated": p[top], "top_right": top in r["right"], "brier": 0.0})
     found = scoring.calibration(ranked)
     logs = np.log(np.concatenate([likely([r], w) for r, w in zip(rows, by, strict=True)]))
     first = float(np.mean([r["top_right"] for r in ranked]))

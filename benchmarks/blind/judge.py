@@ -51,6 +51,7 @@ def judge(label: Mapping[str, Any], answer: Mapping[str, Any] | None, errors: Se
     sets = [{str(x) for x in group} for group in answer.get("equivalent") or []]
     where = (answer.get("where") or [{}])[0]
     top = ranked[0] if ranked else (None, 0.0)
+    as_one = confusable(top[0], sensors["tension"], sensors["temperature"]) if top[0] else set()
     row |= {
         "verdict": answer.get("verdict"),
         "top": ranked[:3],
@@ -60,6 +61,7 @@ def judge(label: Mapping[str, Any], answer: Mapping[str, Any] | None, errors: Se
         "axis": where.get("axis"),
         "right": sorted(right),
         "top_right": top[0] in right,
+        "stated": sum(p for name, p in ranked if name in as_one),
         "brier": _brier(ranked, right),
         "claimed": row["failed"] or answer.get("verdict") == "listed_effect" or bool(selected),
         "unlisted": answer.get("verdict") == "unlisted_effect",
@@ -142,10 +144,10 @@ def scoreboard(rows: Sequence[Row], timing: Mapping[str, Mapping[str, float]]) -
         },
         "by_shape": {
             name: {
-                "cases": len(some := [r for r in effects if any(r["forms"].values()) == further]),
+                "cases": len(some := [r for r in effects if _shape(r) == name]),
                 **{key: _mean(some, key) for key in ("top_right", "found", "block_right", "axis_right")},
             }
-            for name, further in (("first", False), ("further", True))
+            for name in ("first", "further", "last")
         },
         "calibration": reliability,
         "confusion": confusion(rows),
@@ -158,12 +160,13 @@ def scoreboard(rows: Sequence[Row], timing: Mapping[str, Mapping[str, float]]) -
 
 
 def calibration(rows: Sequence[Row]) -> dict[str, Any]:
-    """Of the top probability: expected calibration error over ten bins, and what chance alone makes of it on so many
-    cases were every probability true; Brier score of all probabilities."""
+    """Of the probability of the first answer, what counts as one with it included, as it does where that is right:
+    expected calibration error over ten bins, and what chance alone makes of it on so many cases were every probability
+    true; Brier score of all probabilities."""
     stated = [r for r in rows if r["top"]]
     if not stated:
         return {"ece": None, "by_chance": None, "brier": None, "bins": []}
-    p = np.array([r["top"][0][1] for r in stated])
+    p = np.array([r["stated"] for r in stated])
     right = np.array([r["top_right"] for r in stated], float)
     at = np.minimum((p * BINS).astype(int), BINS - 1)
     bins = [
@@ -193,6 +196,14 @@ def confusion(rows: Iterable[Row]) -> dict[str, dict[str, int]]:
         said = r["top"][0][0] if r["top"] else "failed"
         out.setdefault(truth, {})[said] = out.get(truth, {}).get(said, 0) + 1
     return out
+
+
+def _shape(row: Row) -> str:
+    """Whether a case's cause has the shape that the plant had first, the last one, or one in between."""
+    for name, form in row["forms"].items():
+        if form:
+            return "last" if form == len(CAUSES[name].shapes) - 1 else "further"
+    return "first"
 
 
 def _axes(right: set[str], forms: Mapping[str, int]) -> set[str]:

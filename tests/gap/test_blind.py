@@ -53,6 +53,11 @@ def test_answers_are_judged_by_the_rules():
     delay = answer("sensor_delay", "sensor_delay")  # where tension is measured it could have been told
     assert not judge.judge(label("effects", "actuator_delay"), delay, None)["top_right"]
     assert judge.judge(label("effects", "actuator_delay", tension=False), delay, None)["top_right"]
+    both = delay | {
+        "effects": [{"id": "sensor_delay", "probability": 0.6}, {"id": "actuator_delay", "probability": 0.3}]
+    }
+    stated = [judge.judge(label("effects", "actuator_delay", tension=t), both, None)["stated"] for t in (True, False)]
+    assert stated == pytest.approx([0.6, 0.9])  # what counts as one when it is right, is stated as one
 
     near = answer("contact", "contact", equivalent=(("contact", "stiffness_hardening"),))
     row = judge.judge(label("effects", "stiffness_hardening"), near, None)

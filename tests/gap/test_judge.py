@@ -86,7 +86,8 @@ def test_what_leaves_half_of_runs_that_no_fit_saw_is_likely_a_stand_in():
     """However well it and its folds fit; a tenth of the gap says nothing, two runs being few."""
     found = dataclasses.replace(evidence({"contact": 0.03, "base_tilt": 0.1}), unseen={"contact": 0.04})
     usual, half, double = (
-        judge.probabilities(dataclasses.replace(found, held_out={"contact": x, "base_tilt": x})) for x in (0.1, 0.5, 2.0)
+        judge.probabilities(dataclasses.replace(found, held_out={"contact": x, "base_tilt": x}))
+        for x in (0.1, 0.5, 2.0)
     )
     assert usual == pytest.approx(judge.probabilities(found)) and usual["contact"] > 0.9
     assert half["unlisted_effect"] > 0.6 and double["unlisted_effect"] > 0.9
