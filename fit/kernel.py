@@ -16,6 +16,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ljjax import batch
+from ljjax.fit import native
 from ljjax.step import How, advance, constants, in_balance
 
 
@@ -91,17 +92,19 @@ def _push(f: Callable, primals: Any, tangents: Any) -> Any:
     return jax.vmap(along, out_axes=(None, 0))(tangents)
 
 
+def _in_balance(model, q, v, drive):
+    """The state of a robot that shows the shape q, and moves at the rate v."""
+    for effect in reversed(model.effects):
+        q = effect.unsense(q)
+    return in_balance(model, q, v, drive)
+
+
 @partial(jax.jit, compiler_options=_quick())
 def balance(model, slopes, q, v, drive):
     """Starting states from the data, (W,), and their derivatives (k + 1, W)."""
 
     def f(model, q):
-        def one(m, q, v, d):
-            for effect in reversed(m.effects):
-                q = effect.unsense(q)
-            return in_balance(m, q, v, d)
-
-        return jax.vmap(one)(model, q, v, drive)
+        return jax.vmap(_in_balance)(model, q, v, drive)
 
     along = jnp.zeros_like(jax.tree.leaves(slopes)[0]).at[-1].set(1.0)
     return _push(f, (model, q), (slopes, tuple(along for _ in q)))
@@ -118,9 +121,77 @@ def shoot(joints: bool, model, slopes, *rest):
     return _shoot(joints, False, model, slopes, *_constants(model, slopes), *rest)
 
 
-def onward(joints: bool, model, slopes) -> Callable:
-    """`_shoot` of these robots for any window of theirs: from state, its derivatives, drive and step."""
-    return partial(_shoot, joints, True, model, slopes, *_constants(model, slopes))
+def onward(joints: bool, model, slopes, data) -> tuple[Any, Any, Callable]:
+    """The starting states of robots from the data, their derivatives, and a function of state, its derivatives, drive
+    and step through a window: to the next state, its derivatives, the path (steps + 1, W) and its derivatives."""
+    if native.available() and (found := _native(joints, model, slopes, data)):
+        return found
+    fixed = model, slopes, *_constants(model, slopes)
+
+    def go(state, slope, drive, h):
+        (_, state), (_, slope), *paths = _shoot(joints, True, *fixed, state, slope, drive, h)
+        return state, slope, *jax.tree.map(np.asarray, paths)
+
+    return *balance(model, slopes, *data), go
+
+
+def _native(joints: bool, model, slopes, data) -> tuple[Any, Any, Callable] | None:
+    """The same by programs in C; None where they cannot be had. States are rows, known to nobody else."""
+    along = np.zeros_like(jax.tree.leaves(slopes)[0])
+    along[-1] = 1.0
+    begin = native.program("begin", _begin, ("value", "slope", "value", "slope"), (model, slopes, data, along))
+    if begin is None:
+        return None
+    lanes = along.shape[-1]
+    none, forces = np.zeros((0, lanes), np.float32), np.zeros((1, 1, lanes), np.float32)
+    values, derivatives = begin.run(native.rows(model, data), native.rows(slopes, along), forces, none, none)
+    (c, state), (c_slopes, slope) = (jax.tree.map(lambda x: x[..., 0, :], x) for x in (values, derivatives))
+    kinds = "value", "slope", "value", "slope", "state", "state slope", "drive", "drive"
+    given = model, slopes, c, c_slopes, state, slope, data[2], 0.0
+    step = native.program(("step", joints), partial(_step, joints), kinds, given)
+    if step is None:
+        return None
+    value, directed = native.rows(model, c), native.rows(slopes, c_slopes)
+    first = [_path(joints, state), _path(joints, slope)]
+
+    def go(state, slope, drive, h):
+        state, slope = state.copy(), slope.copy()
+        forces = native.rows(drive, np.broadcast_to(h, jax.tree.leaves(drive)[0].shape))
+        found = step.run(value, directed, forces, state, slope)
+        paths = [
+            jax.tree.map(lambda a, b: np.concatenate([a[..., None, :], b], axis=-2), one, more)
+            for one, more in zip(first, found, strict=True)
+        ]
+        first[:] = jax.tree.map(lambda x: x[..., -1, :], paths)
+        return state, slope, *paths
+
+    return native.rows(state), native.rows(slope), go
+
+
+def _begin(model, slopes, data, along):
+    """Constants and starting state of one robot, and their derivatives."""
+
+    def f(model, q):
+        return constants(model), _in_balance(model, q, *data[1:])
+
+    q = data[0]
+    values, derivatives = _push(f, (model, q), (slopes, tuple(along for _ in q)))
+    return (), (), values, derivatives
+
+
+def _step(joints: bool, model, slopes, c, c_slopes, state, slope, drive, h):
+    """One step of one robot: the next state, its derivatives, and `_path` of both."""
+    state, slope = _push(
+        lambda m, c, s: advance(m, c, s, drive, h, How(2)), (model, c, state), (slopes, c_slopes, slope)
+    )
+    return state, slope, _path(joints, state), _path(joints, slope)
+
+
+def _path(joints: bool, state):
+    """(q, v, what is seen − q) of states or of derivatives of states: means, or all joints."""
+    seen = () if state.sensed is None else tuple(a - b for a, b in zip(state.sensed, state.q, strict=True))
+    path = (state.q, state.v, seen)
+    return path if joints else tuple((sum(x) / len(x),) if x else () for x in path)
 
 
 @partial(jax.jit, static_argnums=(0, 1), compiler_options=_options())
@@ -142,13 +213,9 @@ def _shoot(joints: bool, onward: bool, model, slopes, c, c_slopes, state, slope,
 
     def read(first, after):
         full = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, after)
-        seen = () if full.sensed is None else tuple(a - b for a, b in zip(full.sensed, full.q, strict=True))
-        path = (full.q, full.v, seen)
-        if not joints:
-            path = tuple((sum(x) / len(x),) if x else () for x in path)
         half = len(drive.left) // 2
         middle_and_end = jax.tree.map(lambda x: x[half - 1 :: half], after)
-        return tuple(jax.tree.map(lambda x, i=i: x[i], middle_and_end) for i in (0, 1)), path
+        return tuple(jax.tree.map(lambda x, i=i: x[i], middle_and_end) for i in (0, 1)), _path(joints, full)
 
     after, after_slopes = jax.lax.scan(step, (state, slope), drive)[1]
     ends, path = read(state, after)

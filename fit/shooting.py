@@ -10,6 +10,7 @@ in step, so that their windows fill one batch.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,6 +19,7 @@ from typing import Any, TypeVar
 import jax
 import numpy as np
 
+from ljjax.fit import native
 from ljjax.fit.kernel import balance, on_all_cores, onward, shoot, tiled
 from ljjax.fit.samples import Samples, derivatives
 from ljjax.fit.windows import Windows
@@ -126,6 +128,7 @@ def answer_all(requests: Sequence[Request]) -> list[Answer]:
         groups.setdefault(form, []).append(i)
     answers: list[Any] = [None] * len(parts)
     for (_, width, joints, free, _), members in groups.items():
+        members.sort(key=lambda i: derivatives(parts[i]))  # so that tiles have as many as they need
         asked = [parts[i] for i in members]
         found = _onward(asked, width, joints) if free else _answer(asked, width, joints)
         for i, answer in zip(members, found, strict=True):
@@ -140,16 +143,16 @@ and in steps of so many; of free runs so many, and the others beside them in the
 
 
 def _padded(request: Request) -> int:
-    """How many derivatives the kernel takes."""
+    """How many derivatives the kernel takes; 0 for as many as there are."""
     k = derivatives(request)
     if request.onward:
-        return ACROSS
+        return 0 if native.available() else ACROSS
     return LEAST + WIDER * max(0, math.ceil((k - LEAST) / WIDER)) if request.model.effects else k
 
 
 def _parts(request: Request) -> list[Request]:
     """A request, or the requests for some of its derivatives each that a kernel can take."""
-    if not request.onward or derivatives(request) <= ACROSS:
+    if not request.onward or derivatives(request) <= ACROSS or native.available():
         return [request]
     places = range(0, derivatives(request), ACROSS)
     return [replace(request, slopes=jax.tree.map(lambda s, a=a: s[a : a + ACROSS], request.slopes)) for a in places]
@@ -253,29 +256,32 @@ def _answer(requests: Sequence[Request], width: int, joints: bool) -> list[Answe
 def _onward(requests: Sequence[Request], width: int, joints: bool) -> list[Answer]:
     """Free runs, in tiles of many, each through all its windows one after the other; in float32, whose rounding is far
     below any measurement's noise."""
-    batch = _Batch(requests, width, np.float32)
+    count = np.array([width or derivatives(r) for r in requests])
+    batch = _Batch(requests, int(count.max()), np.float32)
     opens = np.flatnonzero(np.concatenate([r.windows.opens for r in requests]))
     last = np.append(opens[1:], len(batch.of)) - 1
     first = np.cumsum([0, *batch.count])
     samples = [Samples(r) for r in requests]
+    wide = NARROW
+    if not width:  # a tile for every core, of two blocks at most
+        wide = native.LANES * min(math.ceil(len(opens) / native.LANES / (os.cpu_count() or 1)), 2)
 
     def tile(begin: int) -> None:
-        runs = np.arange(begin, begin + NARROW)
+        runs = np.arange(begin, begin + wide)
         real, runs = runs < len(opens), np.minimum(runs, len(opens) - 1)
         at, until = opens[runs], last[runs]
         of, (model, slopes) = batch.of[at], batch.robots(at)
-        state, slope = balance(model, slopes, *batch.data(at))
-        shoot_on = onward(joints, model, slopes)
+        asked = [*range(count[of].max()), -1]
+        state, slope, shoot_on = onward(joints, model, jax.tree.map(lambda s: s[asked], slopes), batch.data(at))
         for _ in range(int(np.max(until - at)) + 1):
-            (_, state), (_, slope), *paths = shoot_on(state, slope, *batch.driven(at))
-            paths = jax.tree.map(np.asarray, paths)
+            state, slope, *paths = shoot_on(state, slope, *batch.driven(at))
             for i in np.unique(of[real]):
                 mine = np.flatnonzero(real & (of == i))
                 samples[i].read(at[mine] - first[i], *jax.tree.map(lambda x, mine=mine: x[..., mine], paths))
             real, at = real & (at < until), np.minimum(at + 1, until)
 
     form = "onward", jax.tree.structure(batch.model), joints, width, len(batch.q)
-    on_all_cores(tile, range(0, len(opens), NARROW), form)
+    on_all_cores(tile, range(0, len(opens), wide), form)
     return [Answer(s.predicted, s.jacobian) for s in samples]
 
 

@@ -1,0 +1,115 @@
+"""Programs in C against the same under XLA, and what happens where they cannot be had."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from ljjax import effects
+from ljjax.fit import native
+from ljjax.fit.coordinates import Coordinates
+from ljjax.fit.dynamic import Search
+from ljjax.fit.problem import Problem
+from ljjax.fit.run import prepared
+from ljjax.fit.shooting import together
+from ljjax.fit.windows import cut
+from ljjax.gap.candidates import universal
+from ljjax.gap.search import QUICK
+from ljjax.model import limits, replace
+from tests.fit.test_dynamic import guess, logged, robot
+
+needs_cc = pytest.mark.skipif(not native.available(), reason="no C compiler on this machine")
+NAMES = ["elastic.c3", "friction.mu_c", "effects.actuator_lag.tau_s", "effects.sensor_filter.tau_s"]
+
+
+def free_run(theta: bool, kinds: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Predictions and derivatives of two runs of a robot with effects of these kinds, each a little."""
+    start = guess(robot())
+    case = prepared(start, "nominal.toml", [logged(robot(), s, theta=theta) for s in (1, 2)], (), (), "commands")
+    assert not isinstance(case, list)
+    model = universal(start.model, kinds)
+    within = limits(model)
+    small = {
+        p: float(np.clip(about["null"] + 0.3 * about["scale"], *within[p]))
+        for k in kinds
+        for n, about in k.fields().items()
+        if (p := f"effects.{k.id}.{n}") in within
+    }
+    problem = Problem(
+        Coordinates(replace(model, small), NAMES, case.problem.coordinates.pressure), case.problem.motions
+    )
+    search = Search(problem, cut(problem.motions, QUICK.step_s), QUICK)
+    (found,) = together([search.look(problem.coordinates.start)])
+    assert found is None and search.point is not None
+    return search.point.answer.predicted, search.point.answer.jacobian
+
+
+@needs_cc
+@pytest.mark.parametrize("theta", [True, False])
+def test_free_runs_with_every_effect_are_those_of_xla(monkeypatch, theta):
+    kinds = list(effects.REGISTRY.values())
+    assert len(kinds) >= 31
+    here, slopes = free_run(theta, kinds)
+    assert native.available()  # every effect is arithmetic that C takes
+    monkeypatch.setenv("LJJAX_CC", "")
+    there, same = free_run(theta, kinds)
+    assert here.std() > 0.02 and np.all(np.abs(same).max(axis=(0, 1)) > 0)
+    assert np.abs(here - there).max() < 1e-5
+    assert np.all(np.abs(slopes - same).max(axis=(0, 1)) < 2e-3 * np.abs(same).max(axis=(0, 1)))
+
+
+def everything(x, y):
+    """Of every operation that the lowering knows, something that feels it."""
+    power = x**3 + jnp.abs(x) ** y + 1 / (1 + x**4) + jnp.sqrt(y) + jnp.cbrt(y) + x**-2
+    round_ = jnp.sin(x) * jnp.cos(y) + jnp.tan(0.1 * x) + jnp.arctan2(x, y) + jnp.arcsin(x / 9) + jnp.arctan(x)
+    grow = (
+        jnp.exp(-y) + jnp.expm1(0.1 * x) + jnp.log(y) + jnp.log1p(y) + jnp.tanh(x) + jnp.sinh(x / 3) + jax.nn.sigmoid(x)
+    )
+    kink = jnp.where((x > 0) & ~(y < 1), x, -y) + jnp.clip(x, -0.5, 0.5) + jnp.maximum(x, y) - jnp.minimum(x, 0.3)
+    step = jnp.sign(x) + jnp.floor(x) * jnp.where(y >= 1, 1.0, 2.0) + jnp.where(jnp.isinf(x / 0.0), 1.0, 2.0)
+    step = step + ((x != y) | (x == y)).astype(x.dtype) + jnp.ceil(y)
+    return power, round_, jnp.square(grow), kink, step, jax.lax.erf(x)
+
+
+@needs_cc
+def test_every_operation_and_its_derivative_is_that_of_xla():
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=16).astype(np.float32) * 2, rng.uniform(0.2, 3.0, 16).astype(np.float32)
+    dx, dy = rng.normal(size=(2, 3, 16)).astype(np.float32)
+
+    def pushed(x, y, dx, dy):
+        values, slopes = jax.vmap(lambda a, b: jax.jvp(everything, (x, y), (a, b)), out_axes=(None, 0))(dx, dy)
+        return (), (), values, slopes
+
+    program = native.Program(pushed, ("value", "value", "slope", "slope"), (0.0, 0.0, 0.0, 0.0))
+    none = np.zeros((0, 16), np.float32)
+    found = program.run(native.rows(x, y), native.rows(dx, dy), np.zeros((1, 1, 16), np.float32), none, none)
+    expected = jax.vmap(pushed, in_axes=(0, 0, 1, 1), out_axes=(0, 0, 0, 1))(x, y, dx, dy)[2:]
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(a[..., 0, :], b, rtol=2e-5, atol=2e-5)
+
+
+@needs_cc
+@pytest.mark.parametrize("broken", ["step", "compiler"])
+def test_where_a_step_cannot_be_had_in_c_xla_does_it_all(monkeypatch, broken):
+    monkeypatch.setattr(native, "_programs", {})
+    if broken == "compiler":
+        monkeypatch.setenv("LJJAX_CC", "false")
+    given = jax.tree.map(np.float32, (1.0, 1.0))
+
+    def function(x, dx):
+        y = jax.lax.lgamma(x) if broken == "step" else 2 * x
+        return (), (), (y,), (dx,)
+
+    assert native.available()
+    assert native.program("lgamma", function, ("value", "slope"), given) is None
+    assert not native.available()
+
+
+def test_no_compiler_named_means_none(monkeypatch):
+    monkeypatch.setenv("LJJAX_CC", "")
+    assert not native.available()
