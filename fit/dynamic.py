@@ -335,7 +335,7 @@ class Search:
         point = self.point
         assert point is not None
         scale = self._scale(point)
-        a, _, (own, cross, _) = self._normal(point, scale)
+        a, pull, (own, cross, _) = self._normal(point, scale)
         along = point.answer.jacobian[..., -1]
         own_part = (cross / own).T[self.sample_group]
         jacobian = point.answer.jacobian[..., :-1] - along[..., None] * own_part[:, None, :]
@@ -354,6 +354,7 @@ class Search:
             self.windows,
             point.answer.predicted,
             jacobian,
+            pull,
             scale.sigma,
             scale.weight,
             offset,

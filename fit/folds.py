@@ -18,7 +18,8 @@ STEADY_KPA = 3.0
 
 
 def left_out(estimate: Estimate, fold: np.ndarray) -> np.ndarray:
-    """(N, c) measured − predicted [rad] of each sample where its whole fold is left out of the fit.
+    """(N, c) measured − predicted [rad] of each sample where its whole fold is left out of the fit: one Gauss–Newton
+    step on the other folds, which makes up for a search that stopped short of its optimum too.
 
     Parameters move no further than first order reaches (`FAR`), however little the other folds say of them, nor beyond
     their bounds; those on a bound stay there, as first order asks of an optimum under constraints.
@@ -41,11 +42,11 @@ def left_out(estimate: Estimate, fold: np.ndarray) -> np.ndarray:
         mine = np.isin(e.windows.sample_run, np.flatnonzero(fold == k))
         j, error = e.jacobian[mine], e.error[mine]
         own = np.einsum("nck,nc,ncl->kl", j, weight[mine], j, optimize=True)
-        pull = np.einsum("nck,nc,nc->k", j, weight[mine], error, optimize=True)
+        back = np.einsum("nck,nc,nc->k", j, weight[mine], error, optimize=True) - e.pull
         rest = (whole - own) * np.outer(reach, reach)
         values, vectors = np.linalg.eigh(rest)
         root = np.sqrt(np.maximum(values, 0.0) + 1)
-        moved = reach * lsq_linear(root[:, None] * vectors.T, vectors.T @ (reach * pull) / root, box).x
+        moved = reach * lsq_linear(root[:, None] * vectors.T, vectors.T @ (reach * back) / root, box).x
         out[mine] = error + np.einsum("nck,k->nc", j, moved)
     return out
 

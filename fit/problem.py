@@ -74,6 +74,7 @@ class Estimate:
         covariance: (k, k) of x, with the residuals' colour; `white` the same were they white.
         windows, predicted: the last round's windows and what their samples should read (N, c).
         jacobian: (N, c, k) derivatives of `predicted`, the runs' starting angles projected off.
+        pull: (k,) −½ dχ²/dx there, the starting angles at their best: 0 at an optimum that no bound holds.
         sigma: (c,) standard deviation of the residuals [rad]; `weight` (N, c) of each sample, 1 or less.
         offset: (R,) correction of each run's starting angle [rad].
         statics: predictions and scatter for each of the problem's points.
@@ -91,6 +92,7 @@ class Estimate:
     windows: Windows
     predicted: np.ndarray
     jacobian: np.ndarray
+    pull: np.ndarray
     sigma: np.ndarray
     weight: np.ndarray
     offset: np.ndarray

@@ -165,23 +165,34 @@ def test_leaving_a_run_out_to_first_order_is_a_fit_without_it(found):
     assert np.std(foretold - refitted) < 0.3 * np.std(whole - refitted)
 
 
+def line(short: float, low: float) -> tuple[np.ndarray, Any]:
+    """Two runs that pull the slope of a line to −0.1 and 0.1, not less than `low`: where a search ended at 0, or so far
+    `short` of it."""
+    x = np.linspace(-1.0, 1.0, 50)
+    error, slope = np.concatenate([(short - 0.1) * x, (short + 0.1) * x])[:, None], np.tile(x, 2)
+    e: Any = SimpleNamespace(
+        problem=SimpleNamespace(
+            coordinates=SimpleNamespace(spread=np.ones(1)), limits=lambda _: [(np.ones(1), low + short, 1.0 + short)]
+        ),
+        windows=SimpleNamespace(sample_run=np.repeat([0, 1], 50)),
+        x=np.full(1, -short), sigma=np.full(1, 1e-3), weight=np.ones_like(error), jacobian=slope[:, None, None],
+        error=error, white=np.array([[1e-6 / np.sum(slope**2)]]), pull=1e6 * slope @ error,
+    )  # fmt: skip
+    return x, e
+
+
 @pytest.mark.parametrize(("low", "follows"), [(-1.0, 1.0), (-0.03, 0.3), (0.0, 0.0)])
 def test_a_parameter_on_its_bound_stays_there_where_a_run_is_left_out(low, follows):
-    """A slope of 0 that two runs pull to −0.1 and 0.1: without the second it would fall to −0.1, if it may, and what
-    rests on its bound does not leave it."""
-    x = np.linspace(-1.0, 1.0, 50)
-    error = np.concatenate([-0.1 * x, 0.1 * x])[:, None]
-    slope = np.tile(x, 2)[:, None, None]
-    limits = [(np.ones(1), low, 1.0)]
-    e: Any = SimpleNamespace(
-        problem=SimpleNamespace(coordinates=SimpleNamespace(spread=np.ones(1)), limits=lambda _: limits),
-        windows=SimpleNamespace(sample_run=np.repeat([0, 1], 50)),
-        x=np.zeros(1), sigma=np.full(1, 1e-3), weight=np.ones_like(error), jacobian=slope, error=error,
-        white=np.array([[1e-6 / np.sum(slope**2)]]),
-    )  # fmt: skip
+    """Without the second it would fall to −0.1, if it may, and what rests on its bound does not leave it."""
+    x, e = line(0.0, low)
     first, second = np.split(left_out(e, np.arange(2))[:, 0], 2)
     np.testing.assert_allclose(first, -(0.1 + 0.1 * (low < 0)) * x, atol=1e-3)
     np.testing.assert_allclose(second, (0.1 + 0.1 * follows) * x, atol=1e-3)
+
+
+def test_what_is_left_of_a_left_out_run_does_not_hang_on_where_the_search_stopped():
+    ended, short = (left_out(line(by, -1.0)[1], np.arange(2)) for by in (0.0, 0.07))
+    np.testing.assert_allclose(short, ended, atol=1e-3)
 
 
 def test_conditions_are_pressures_where_runs_keep_to_one():
