@@ -22,12 +22,13 @@ PACKAGES = ("jax", "diffrax", "numpy", "scipy", "scikit-sundae", "casadi", "mujo
 def main() -> None:
     """Run the benchmarks asked for, all by default."""
     jax.config.update("jax_enable_x64", True)
-    from benchmarks import fit_speed, jacobian, simulation
+    from benchmarks import fit_speed, free_runs, jacobian, simulation
 
     parts = {
         "equal-accuracy": simulation.equal_accuracy,
         "against-c": simulation.against_c,
         "jacobian": jacobian.cost,
+        "free-runs": free_runs.natively,
         "fit": fit_speed.whole_fit,
     }
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
