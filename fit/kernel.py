@@ -144,26 +144,24 @@ def _native(joints: bool, model, slopes, data) -> tuple[Any, Any, Callable] | No
         return None
     lanes = along.shape[-1]
     none, forces = np.zeros((0, lanes), np.float32), np.zeros((1, 1, lanes), np.float32)
-    values, derivatives = begin.run(native.rows(model, data), native.rows(slopes, along), forces, none, none)
-    (c, state), (c_slopes, slope) = (jax.tree.map(lambda x: x[..., 0, :], x) for x in (values, derivatives))
+    found = begin.run(native.rows(model, data), native.rows(slopes, along), forces, none, none)
+    (c, state), (c_slopes, slope) = (begin.form.unflatten(list(x[..., 0, :])) for x in found)
     kinds = "value", "slope", "value", "slope", "state", "state slope", "drive", "drive"
     given = model, slopes, c, c_slopes, state, slope, data[2], 0.0
     step = native.program(("step", joints), partial(_step, joints), kinds, given)
     if step is None:
         return None
     value, directed = native.rows(model, c), native.rows(slopes, c_slopes)
-    first = [_path(joints, state), _path(joints, slope)]
+    last = [native.rows(_path(joints, x)) for x in (state, slope)]
 
     def go(state, slope, drive, h):
         state, slope = state.copy(), slope.copy()
         forces = native.rows(drive, np.broadcast_to(h, jax.tree.leaves(drive)[0].shape))
-        found = step.run(value, directed, forces, state, slope)
-        paths = [
-            jax.tree.map(lambda a, b: np.concatenate([a[..., None, :], b], axis=-2), one, more)
-            for one, more in zip(first, found, strict=True)
-        ]
-        first[:] = jax.tree.map(lambda x: x[..., -1, :], paths)
-        return state, slope, *paths
+        paths = step.run(value, directed, forces, state, slope, room=1)
+        for x, before in zip(paths, last, strict=True):
+            x[..., 0, :] = before
+        last[:] = (x[..., -1, :] for x in paths)
+        return state, slope, *(step.form.unflatten(list(x)) for x in paths)
 
     return native.rows(state), native.rows(slope), go
 

@@ -57,7 +57,7 @@ EACH(tan) EACH(asin) EACH(acos) EACH(atan) EACH(sinh) EACH(cosh) EACH(tanh) BOTH
 """
 WINDOW = """
 #define ROW(a, i) (*(U *)((a) + (size_t)(i) * lanes + lane))
-int window(int lanes, int steps, int ways, const float *c, const float *ct, const float *d,
+int window(int lanes, int steps, int ways, int room, const float *c, const float *ct, const float *d,
            float *s, float *st, float *y, float *yt)
 {
     V *p = aligned_alloc(64, 2 * sizeof(V) * (@P@ / 2 + 1));
@@ -131,8 +131,10 @@ class Program:
         values = [f"new[{i}] = {x};" for i, x in enumerate(new)]
         slopes = [f"new[{i}] = {x};" for i, x in enumerate(new_slopes)]
         self.count = len(rest) // 2
-        values += [f"ROW(y, {i} * steps + k) = {x};" for i, x in enumerate(rest[: self.count])]
-        slopes += [f"ROW(yt, ({i} * ways + w) * steps + k) = {x};" for i, x in enumerate(rest[self.count :])]
+        values += [f"ROW(y, {i} * (steps + room) + room + k) = {x};" for i, x in enumerate(rest[: self.count])]
+        slopes += [
+            f"ROW(yt, ({i} * ways + w) * (steps + room) + room + k) = {x};" for i, x in enumerate(rest[self.count :])
+        ]
         window = WINDOW
         for name, text in {
             **{f"N_{kind.upper().replace(' ', '_')}": len(x) for kind, x in places.items()},
@@ -150,15 +152,16 @@ class Program:
         self.window = _compiled(sources)
         self.form = jax.tree.structure(out[2])
 
-    def run(self, value, slope, drive, state, state_slope) -> tuple[Any, Any]:
-        """The values (steps, W) and their derivatives (K, steps, W), from rows of what is given: (i, W), (i, K, W) and,
-        drives, (i, steps, W); states and their derivatives are replaced by the last ones. W a multiple of `LANES`."""
+    def run(self, value, slope, drive, state, state_slope, room: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """The values (v, room + steps, W) and their derivatives (v, K, room + steps, W), nothing in the room, from rows
+        of what is given: (i, W), (i, K, W) and, drives, (i, steps, W); states and their derivatives are replaced by the
+        last ones. W a multiple of `LANES`."""
         (ways, lanes), steps = slope.shape[1:], drive.shape[1]
-        y, yt = np.empty((self.count, steps, lanes), np.float32), np.empty((self.count, ways, steps, lanes), np.float32)
+        y, yt = (np.empty((self.count, *k, room + steps, lanes), np.float32) for k in ((), (ways,)))
         arrays = value, slope, drive, state, state_slope, y, yt
-        if self.window(lanes, steps, ways, *(x.ctypes.data_as(ctypes.c_void_p) for x in arrays)):
+        if self.window(lanes, steps, ways, room, *(x.ctypes.data_as(ctypes.c_void_p) for x in arrays)):
             raise MemoryError
-        return self.form.unflatten(list(y)), self.form.unflatten(list(yt))
+        return y, yt
 
 
 def program(name: Hashable, function: Callable, kinds: Sequence[str], given: Sequence[Any]) -> Program | None:

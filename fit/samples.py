@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -22,7 +23,7 @@ def derivatives(request: Request) -> int:
 
 
 class Samples:
-    """Predictions (N, c) and derivatives (N, c, k + 1) at the samples of a request, read off window by window.
+    """Predictions (N, c) and derivatives (N, c, k + 1) at the samples of a request, which `read` fills.
 
     Where the shape is stamped late a sample shows the path that much earlier, in the window before it if need be.
     """
@@ -46,40 +47,52 @@ class Samples:
             self.weight = place - self.window * STEPS - self.step
         self.order, self.bounds = w.order_of(self.window) if latency else w.order
 
-    def read(self, windows: np.ndarray, path: Any, slopes: Any) -> None:
-        """Take what lies in these windows (an index) from their paths (K + 1, W)."""
-        (q, v, seen), (dq, dv, dseen) = path, slopes
-        a, b = self.bounds[windows], self.bounds[windows + 1]
-        mine = np.concatenate([self.order[i:j] for i, j in zip(a, b, strict=True)])
-        h, w = self.windows.h, self.weight[mine]
-        at = self.step[mine] * len(windows) + np.repeat(np.arange(len(windows)), b - a)
-        after = at + len(windows)
-        cubic = (1 - w * w * (3 - 2 * w), w * w * (3 - 2 * w), h * w * (1 - w) ** 2, h * w * w * (w - 1))
-        on_steps = bool(np.all(np.minimum(w, 1 - w) < ON_STEP))
-        nearest = np.where(w > 0.5, after, at)
+    def within(self, window: int) -> np.ndarray:
+        """The samples (an index) that lie in one window."""
+        return self.order[self.bounds[window] : self.bounds[window + 1]]
 
-        def pick(x: np.ndarray, index: np.ndarray) -> np.ndarray:
-            return np.take(x.reshape(*x.shape[:-2], -1), index, axis=-1)
 
-        def taken(x: np.ndarray, rate: np.ndarray, more: np.ndarray | None) -> np.ndarray:
-            if on_steps:
-                return pick(x, nearest) if more is None else pick(x, nearest) + pick(more, nearest)
-            out = cubic[0] * pick(x, at) + cubic[1] * pick(x, after) + cubic[2] * pick(rate, at)
-            out = out + cubic[3] * pick(rate, after)
-            return out if more is None else out + (1 - w) * pick(more, at) + w * pick(more, after)
+def read(samples: Sequence[Samples], lanes: np.ndarray, of: np.ndarray, windows: np.ndarray, path: Any, slopes: Any):
+    """Take what lies in these windows of samples (`of` says whose, and does not fall) from these lanes of the paths
+    (K + 1, W), where all steps are as long."""
+    (q, v, seen), (dq, dv, dseen) = path, slopes
+    mine = [samples[i].within(w) for i, w in zip(of, windows, strict=True)]
+    lane = np.repeat(lanes, [len(m) for m in mine])
+    steps, w = (
+        np.concatenate([getattr(samples[i], x)[m] for i, m in zip(of, mine, strict=True)]) for x in ("step", "weight")
+    )
+    at = steps * q[0].shape[-1] + lane
+    after = at + q[0].shape[-1]
+    on_steps = bool(np.all(np.minimum(w, 1 - w) < ON_STEP))
+    nearest = np.where(w > 0.5, after, at)
+    w = w.astype(q[0].dtype)
+    h = w.dtype.type(samples[of[0]].windows.h)
+    cubic = (1 - w * w * (3 - 2 * w), w * w * (3 - 2 * w), h * w * (1 - w) ** 2, h * w * w * (w - 1))
 
-        none = [None] * len(q)
-        width = self.k
-        for c, (x, rate, more) in enumerate(zip(q, v, seen or none, strict=True)):
-            self.predicted[mine, c] = taken(x, rate, more)
-        for c, (x, rate, more) in enumerate(zip(dq, dv, dseen or none, strict=True)):
-            keep = [*range(width), -1]
-            self.jacobian[mine, c] = taken(x[keep], rate[keep], None if more is None else more[keep]).T
-        if self.slope is not None:
-            for c, rate in enumerate(v):
-                rate = rate.reshape(-1)
-                going = (1 - w) * rate[at] + w * rate[after]
-                self.jacobian[mine, c, :width] -= np.outer(going, self.slope)
+    def pick(x: np.ndarray, index: np.ndarray) -> np.ndarray:
+        return np.take(x.reshape(*x.shape[:-2], -1), index, axis=-1)
+
+    def taken(x: np.ndarray, rate: np.ndarray, more: np.ndarray | None) -> np.ndarray:
+        if on_steps:
+            return pick(x, nearest) if more is None else pick(x, nearest) + pick(more, nearest)
+        out = cubic[0] * pick(x, at) + cubic[1] * pick(x, after) + cubic[2] * pick(rate, at)
+        out += cubic[3] * pick(rate, after)
+        return out if more is None else out + (1 - w) * pick(more, at) + w * pick(more, after)
+
+    none = [None] * len(q)
+    value = np.stack([taken(*x) for x in zip(q, v, seen or none, strict=True)])
+    derived = np.stack([taken(*x) for x in zip(dq, dv, dseen or none, strict=True)])
+    begin = 0
+    for i in dict.fromkeys(of.tolist()):
+        s, own = samples[i], np.concatenate([m for m, o in zip(mine, of, strict=True) if o == i])
+        part = slice(begin, begin := begin + len(own))
+        s.predicted[own] = value[:, part].T
+        keep = slice(None) if derived.shape[1] == s.k + 1 else [*range(s.k), -1]
+        slope = derived[:, keep, part].transpose(2, 0, 1)
+        if s.slope is not None:
+            rate = np.stack([(1 - w[part]) * pick(x, at[part]) + w[part] * pick(x, after[part]) for x in v])
+            slope[..., :-1] -= rate.T[..., None] * s.slope
+        s.jacobian[own] = slope
 
 
 def _effects(request: Request) -> Any:

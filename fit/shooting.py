@@ -21,7 +21,7 @@ import numpy as np
 
 from ljjax.fit import native
 from ljjax.fit.kernel import balance, on_all_cores, onward, shoot, tiled
-from ljjax.fit.samples import Samples, derivatives
+from ljjax.fit.samples import Samples, derivatives, read
 from ljjax.fit.windows import Windows
 from ljjax.model import Model
 from ljjax.step import Drive, Unrolled
@@ -240,16 +240,16 @@ def _answer(requests: Sequence[Request], width: int, joints: bool) -> list[Answe
             given.append(opening if r.starts is None else _where(r.windows.opens, opening, r.starts))
         used = jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *given)
     (middle, end), (middle_slope, end_slope), path, path_slope, passed = batch.shoot(used, joints)
+    samples, every = [Samples(r) for r in requests], np.arange(parts[-1])
+    read(samples, every, batch.of, every - parts[batch.of], path, path_slope)
     answers = []
-    for r, a, b in zip(requests, parts[:-1], parts[1:], strict=True):
+    for s, a, b in zip(samples, parts[:-1], parts[1:], strict=True):
 
         def own(tree: Any, part: slice = slice(a, b)) -> Any:
             return jax.tree.map(lambda x: x[..., part], tree)
 
-        samples = Samples(r)
-        samples.read(np.arange(b - a), own(path), own(path_slope))
         half, last = Starts(own(middle), own(middle_slope)), Starts(own(end), own(end_slope))
-        answers.append(Answer(samples.predicted, samples.jacobian, own(used), half, last, own(passed)))
+        answers.append(Answer(s.predicted, s.jacobian, own(used), half, last, own(passed)))
     return answers
 
 
@@ -275,9 +275,8 @@ def _onward(requests: Sequence[Request], width: int, joints: bool) -> list[Answe
         state, slope, shoot_on = onward(joints, model, jax.tree.map(lambda s: s[asked], slopes), batch.data(at))
         for _ in range(int(np.max(until - at)) + 1):
             state, slope, *paths = shoot_on(state, slope, *batch.driven(at))
-            for i in np.unique(of[real]):
-                mine = np.flatnonzero(real & (of == i))
-                samples[i].read(at[mine] - first[i], *jax.tree.map(lambda x, mine=mine: x[..., mine], paths))
+            mine = np.flatnonzero(real)
+            read(samples, mine, of[mine], at[mine] - first[of[mine]], *paths)
             real, at = real & (at < until), np.minimum(at + 1, until)
 
     form = "onward", jax.tree.structure(batch.model), joints, width, len(batch.q)
