@@ -6,6 +6,7 @@ python -m benchmarks.effects_page
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from benchmarks.recovery.study import model_of
 from ljjax import fast
 from ljjax.cli import start_jax
 from ljjax.effects import BLOCKS, REGISTRY
+from ljjax.effects.varying import WAYS, varying
 from ljjax.fit.run import prepared
 from ljjax.fit.shooting import together
 from ljjax.gap.candidates import universal
@@ -150,10 +152,7 @@ def page(found: Screen) -> str:
         ]
         for kind in (k for k in REGISTRY.values() if k.block == block):
             words = " ".join((kind.__doc__ or "").split()).replace("|", "\\|")
-            parameters = []
-            for name, about in kind.fields().items():
-                null = f", {about['null']:g}" if not about["pilots"] else ""
-                parameters.append(f"`{name}` [{about['unit']}]{null}, {about['low']:g} … {about['high']:g}")
+            parameters = [_parameter(name, about) for name, about in kind.fields().items()]
             others = [o for o in found.ids if o != kind.id]
             near = sorted(((found.alike(found.best(kind.id), found.best(o)), o) for o in others), reverse=True)
             like = ", ".join(f"`{o}` {c:.2f}" for c, o in near[:4] if c > ALIKE) or "–"
@@ -164,8 +163,23 @@ def page(found: Screen) -> str:
         "parameters projected off, in eight runs of a robot whose six joint angles are logged (1.00: these runs cannot",
         "tell them apart; above 0.95 listed). Effects with several parameters are alike if any of their directions",
         "are. What a short run does not show (a leak, wear, warming) looks flat in the picture.",
+        "",
+        "## How an effect varies",
+        "",
+        "No real robot's effect has quite the library's form. Every effect but a transport delay may vary: its sizes",
+        "are m = (1 + Σ aᵢ gᵢ)₊ times what they say, where any of these aᵢ stand beside its parameters in",
+        "`model.toml`. A diagnosis sets them free where an effect explains much and leaves much.",
+        "",
+        "| a, null, bounds | g |",
+        "|---|---|",
+        *(f"| {_parameter(name, varying(REGISTRY['base_tilt']).fields()[name])} | {g} |" for name, g in WAYS.items()),
     ]
     return "\n".join(out) + "\n"
+
+
+def _parameter(name: str, about: Mapping[str, Any]) -> str:
+    null = f", {about['null']:g}" if not about["pilots"] else ""
+    return f"`{name}` [{about['unit']}]{null}, {about['low']:g} … {about['high']:g}"
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from ljjax.effect import Effect
+from ljjax.effects.varying import WAYS
 from ljjax.fit.coordinates import Coordinates
 from ljjax.fit.dynamic import HUBER, Search, estimate
 from ljjax.fit.problem import Estimate, Problem, Round
@@ -207,6 +208,12 @@ class Study:
         found = self._refit([r.model for r in refits], [r.trial for r in refits], {}, WHOLE, stage)
         further = {id(r.trial): r for r in found}
         return [min((further.get(id(r.trial), r), r), key=lambda x: x.total) for r in refits]
+
+    def varied(self, refits: Sequence[Refit], stage: str) -> list[Refit]:
+        """Refits of effects that are let vary (`ljjax.effects.varying`) in this study, from where they were."""
+        trials = [Trial(r.ids, {**r.free_effects, **{f"effects.{r.ids[0]}.{n}": 0.0 for n in WAYS}}) for r in refits]
+        begun = [self._begun(r.model, t) for r, t in zip(refits, trials, strict=True)]
+        return self._refit(begun, trials, {}, WHOLE, stage)
 
     def _begun(self, like: Model, trial: Trial) -> Model:
         whole = universal(like, self.kinds)

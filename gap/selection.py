@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ljjax.effect import Effect
+from ljjax.effects.varying import varies, varying
 from ljjax.gap import judge, screening
 from ljjax.gap.candidates import Trial, cautious, either_side
 from ljjax.gap.channels import Measured
@@ -35,6 +36,9 @@ are begun once more."""
 FURTHER, PAIRS, LEADING = 0.12, 0.25, 5
 """Shares of the gap, left by one effect, from which the others are begun otherwise and a further one is looked for, and
 from which all pairs of so many leaders are."""
+VARYING, VARIED, NEARBY, HOPELESS, NOTABLY = 3, 0.02, 2.5, 0.9, 0.75
+"""How many effects alone are let vary, where the best leaves more than this share of the gap: those that leave no more
+than so many times as much, nor nearly all of it; and the share of what each left that is less by enough."""
 CLOSE, CLOSER, OFF = 3, 2.0, 0.6
 """How many single effects are taken to their end before they are judged, none that leaves so many times the least, nor
 where that is so large a share of the gap that no effect explains it."""
@@ -229,7 +233,8 @@ class Selection:
             left.setdefault(r.ids[0], r)
         if not left:
             raise FloatingPointError("no candidate simulates on these runs")
-        found = Found(left, {}, next(iter(left.values())))
+        self._vary(left)
+        found = Found(left, {}, min(left.values(), key=self.left))
         unit = self.unit_of(found.best)
         while len(found.best.ids) < MOST:
             share = self.left(found.best)
@@ -252,6 +257,22 @@ class Selection:
         if len(found.best.ids) > 1:
             self._exchange(found)
         return found
+
+    def _vary(self, single: dict[str, Refit]) -> None:
+        """The best effects once more, free to vary in strength with what acts on them, where they leave much: a true
+        cause seldom has the library's form. Those that then leave notably less stay so."""
+        study = self.study
+        ordered = sorted(single.values(), key=self.left)
+        least = self.left(ordered[0])
+        if self.excess <= judge.OPEN * self.floor or not VARIED < least < HOPELESS:
+            return
+        near = [r for r in ordered if self.left(r) < NEARBY * least and self.left(r) < HOPELESS]
+        kinds = {k.id: varying(k) for k in study.kinds if varies(k) and any(r.ids == (k.id,) for r in near[:VARYING])}
+        free = replace(study, kinds=[kinds.get(k.id, k) for k in study.kinds])
+        more = free.varied([single[i] for i in kinds], "varying effects")
+        if kept := [r for r in more if self.left(r) < NOTABLY * self.left(single[r.ids[0]])]:
+            study.kinds = free.kinds
+            single |= {r.ids[0]: r for r in kept}
 
     def _further(self, best: Refit, unit: float) -> list[Refit]:
         """What promises most on top of the best so far, refitted with it; begun anew where none of it is worth having,

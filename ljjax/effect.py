@@ -68,6 +68,13 @@ def shape(unit: str, default: float, low: float, high: float, pilots: tuple[floa
     return _field({"unit": unit, "null": default, "low": low, "high": high, "scale": scale, "pilots": pilots, "of": of})
 
 
+def variation(low: float, high: float) -> Any:
+    """How an effect's action varies (`ljjax.effects.varying`), not at all at 0."""
+    return _field(
+        {"unit": "1", "null": 0.0, "low": low, "high": high, "scale": 0.3, "pilots": (), "of": "", "varies": True}
+    )
+
+
 def _field(metadata: dict[str, Any]) -> Any:
     return eqx.field(
         converter=lambda x: x if isinstance(x, jax.Array) else jnp.asarray(np.asarray(x), dtype=float),
@@ -99,7 +106,7 @@ class Effect(eqx.Module):
     @classmethod
     def sizes(cls) -> tuple[str, ...]:
         """The names of those that say how large the effect is; the others say what form it has."""
-        return tuple(name for name, about in cls.fields().items() if not about["pilots"])
+        return tuple(n for n, about in cls.fields().items() if not about["pilots"] and "varies" not in about)
 
     def start(self, now: Now) -> Memory:
         """The memory at rest under the first inputs."""

@@ -114,7 +114,8 @@ def _listen(rig: EmulatedRig) -> None:
 
 def _with_effects(model: Model, given: tuple[str, ...]) -> Model:
     """The model with effects' parameters set, ID.NAME=VALUE. Raises InputError."""
-    from ljjax.effects import REGISTRY
+    from ljjax.effects import REGISTRY, build
+    from ljjax.effects.varying import WAYS
     from ljjax.model import check
 
     found: dict[str, dict[str, float]] = {
@@ -123,7 +124,7 @@ def _with_effects(model: Model, given: tuple[str, ...]) -> Model:
     for text in given:
         path, _, value = text.partition("=")
         name, _, parameter = path.partition(".")
-        if name not in REGISTRY or parameter not in REGISTRY[name].fields():
+        if name not in REGISTRY or parameter not in {*REGISTRY[name].fields(), *WAYS}:
             raise InputError(
                 f"--effects {text}: no such parameter; expected ID.NAME=VALUE, such as actuator_lag.tau_s=0.05"
             )
@@ -131,6 +132,6 @@ def _with_effects(model: Model, given: tuple[str, ...]) -> Model:
             found.setdefault(name, {})[parameter] = float(value)
         except ValueError:
             raise InputError(f"--effects {text}: {value!r} is no number") from None
-    changed = dataclasses.replace(model, effects=tuple(REGISTRY[i](**found[i]) for i in REGISTRY if i in found))
+    changed = dataclasses.replace(model, effects=tuple(build(i, found[i]) for i in REGISTRY if i in found))
     check(changed, where="--effects")
     return changed

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 from ljjax.effect import Effect
@@ -42,6 +43,7 @@ from ljjax.effects.structure import (
     ViscoelasticCreep,
     ViscousDamping,
 )
+from ljjax.effects.varying import WAYS, varying
 from ljjax.errors import InputError
 
 _ALL: tuple[type[Effect], ...] = (
@@ -80,6 +82,12 @@ _ALL: tuple[type[Effect], ...] = (
 REGISTRY: dict[str, type[Effect]] = {kind.id: kind for kind in _ALL}
 """Every effect by id, in the order in which several of them hook into a model."""
 BLOCKS = ("actuation", "jamming", "structure", "friction", "sensing")
+
+
+def build(effect: str, values: Mapping[str, float]) -> Effect:
+    """An effect of the registry with these parameters, the others at their nulls; a varying one where they say how."""
+    kind = REGISTRY[effect]
+    return (varying(kind) if set(WAYS) & set(values) else kind)(**values)
 
 
 def register(kind: type[Effect]) -> type[Effect]:

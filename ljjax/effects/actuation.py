@@ -56,8 +56,8 @@ LEAST = 0.05
 
 class ActuatorSaturation(Effect):
     """A share s ± δ of each tension stays below a limit L, its edge sharp or smooth, each tendon with a motor of its
-    own: T − s T (1 − (1 + (T/L)^p)^(−1/p)). The limit folds back with what the motor has carried of late: L (1 − f c),
-    τ ċ = T/L − c."""
+    own: T − s T (1 − (1 + (T/L)^p)^(−1/p)), where both drives have one supply by T plus a part r of the other tension.
+    The limit folds back with what the motor has carried of late: L (1 − f c), τ ċ = T/L − c."""
 
     id, block, axes = "actuator_saturation", "actuation", ("load", "angle")
     share: jax.Array = parameter("1", 0.0, 0.0, 1.0, 0.5)
@@ -66,6 +66,7 @@ class ActuatorSaturation(Effect):
     edge: jax.Array = shape("1", 8.0, 1.0, 16.0, (2.0, 8.0))
     fold: jax.Array = shape("1", 0.0, 0.0, 2.0, (1.0, 0.0))
     fold_s: jax.Array = shape("s", 1.0, 0.05, 60.0, (1.0,))
+    shared: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
 
     def start(self, now):
         return tuple(0.0 * t for t in now.u)
@@ -73,10 +74,11 @@ class ActuatorSaturation(Effect):
     def actuate(self, memory, u, now):
         shares = self.share + self.difference, self.share - self.difference
         out, carried = [], []
-        for s, t, c in zip(shares, u, memory, strict=True):
+        for s, t, other, c in zip(shares, u, u[::-1], memory, strict=True):
             part = 1 - self.fold * c
             limit = self.limit_n * jnp.where(part > LEAST, part, LEAST + 0.0 * part)
-            out.append(t - s * (t - bounded(t, limit, self.edge)))
+            drawn = t + self.shared * other
+            out.append(t - s * t * (1 - bounded(drawn, limit, self.edge) / jnp.maximum(drawn, 1e-3)))
             carried.append(lagged(out[-1] / self.limit_n, c, self.fold_s, now.h)[1])
         return tuple(out), tuple(carried)
 
@@ -158,13 +160,16 @@ stated rate [N]."""
 class TendonSlack(Effect):
     """Backlash between spool and body: each tendon's tension passes a play of half-width w (1 ± d) of its own, and
     their difference one of half-width w_d. And below the tension T_s a tendon goes slack, within tenths of a second by
-    what takes l (1 ± d) to wind up at 10 N, at other tensions √(T/10 N) as fast; until then the body feels nothing."""
+    what takes l (1 ± d) to wind up at 10 N, at other tensions √(T/10 N) as fast; until then the body feels nothing.
+    Cable that the body lets go of by bending to the tendon's side is slack too, f a radian, half of it at T_s, and is
+    taken up by bending back."""
 
     id, block, axes = "tendon_slack", "actuation", ("direction", "load", "rate")
     width_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.5)
     net_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.5)
     slack_s: jax.Array = parameter("s", 0.0, 0.0, 2.0, 0.02)
     slack_n: jax.Array = shape("N", 1.0, 0.05, 20.0, (1.0, 3.0))
+    freed: jax.Array = parameter("s/rad", 0.0, 0.0, 5.0, 0.05)
     difference: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
     def _shares(self):
@@ -180,8 +185,10 @@ class TendonSlack(Effect):
 
     def actuate(self, memory, u, now):
         *plays, left, right = memory
-        taut, slack = [], []
-        for x, share, held in zip(u, self._shares(), (left, right), strict=True):
+        taut, slack, bends = [], [], sum(now.v)
+        for x, share, held, rate in zip(u, self._shares(), (left, right), (bends, -bends), strict=True):
+            free = now.h * self.freed * jnp.where(rate > 0, rate / (1 + (x / self.slack_n) ** 2), rate)
+            held = jnp.where((held > 0) | (rate > 0), jnp.maximum(held + free, 0.0), 0.0 * held)
             loose, winds = self._slack(x), x > self.slack_n
             wound = now.h * (1 - loose) * power(x, WOUND_N, jnp.asarray(0.5))
             most, paid = share * self.slack_s, now.h / PAYS_OUT_S * loose * share * self.slack_s

@@ -7,35 +7,43 @@ import jax
 from ljjax.effect import Effect, parameter, shape
 from ljjax.effects.shapes import along, lagged, ringing, sawtooth
 
-BEND_RAD = 0.15
-"""Bend of a joint at which what a view from aside and a lens distort is what their parameters say."""
+BEND_RAD, AXIS_RAD = 0.15, 0.5
+"""Bend of a joint, and direction of a link, at which what a view from aside and a lens distort is what their parameters
+say."""
 INVERSE = 4
 """Steps of Newton's method that undo it."""
 
 
 class SensorScale(Effect):
-    """The camera's scale is wrong, more so to one side where it looks from aside, and further out by its lens:
-    (1 + s + p b + r b²) y, b = y/0.15 rad."""
+    """The camera's scale is wrong, more so to one side where it looks from aside, and further out by its lens, with the
+    angle or with the way off the axis: (1 + s + p b + r b² + l ψ²) y, b = y/0.15 rad, ψ the link's direction over
+    0.5 rad."""
 
     id, block, axes = "sensor_scale", "sensing", ("everywhere", "angle")
     error: jax.Array = parameter("1", 0.0, -0.6, 1.5, 0.05)
     aside: jax.Array = parameter("1", 0.0, -0.3, 0.3, 0.02)
     lens: jax.Array = parameter("1", 0.0, -0.3, 0.3, 0.02)
+    off_axis: jax.Array = parameter("1", 0.0, -0.6, 1.5, 0.05)
 
     def sense(self, memory, y, now):
-        return tuple(
-            (1 + self.error + (self.aside + self.lens * b) * b) * x for x in y for b in (x / BEND_RAD,)
-        ), memory
+        out, psi = [], 0.0
+        for x in y:
+            b, psi = x / BEND_RAD, psi + x
+            out.append((1 + self.error + (self.aside + self.lens * b) * b + self.off_axis * (psi / AXIS_RAD) ** 2) * x)
+        return tuple(out), memory
 
     def unsense(self, y):
-        out = []
+        out, before = [], 0.0
         for x in y:
             q = x / (1 + self.error)
             for _ in range(INVERSE):
                 first, second = self.aside * q / BEND_RAD, self.lens * (q / BEND_RAD) ** 2
-                wrong = (1 + self.error + first + second) * q - x
-                q = q - wrong / (1 + self.error + 2 * first + 3 * second)
+                psi = (before + q) / AXIS_RAD
+                wrong = (1 + self.error + first + second + self.off_axis * psi**2) * q - x
+                slope = 1 + self.error + 2 * first + 3 * second
+                q = q - wrong / (slope + self.off_axis * psi * (psi + 2 * q / AXIS_RAD))
             out.append(q)
+            before = before + q
         return tuple(out)
 
 

@@ -314,3 +314,39 @@ def test_a_load_beside_the_axis_is_a_load(robot):
     both = kind(mass_kg=0.1, aside_m=0.05).load((), zero, now)
     np.testing.assert_allclose(both, -9.80665 * 0.1 * 0.05)
     assert limits(dataclasses.replace(model, effects=(kind(),)))["effects.tip_payload.aside_m"] == (-0.05, 0.05)
+
+
+def test_a_lens_stretches_what_is_off_the_axis():
+    """The second of two links that lean alike by 0.25 rad is 0.5 rad off, which counts in full."""
+    lens = REGISTRY["sensor_scale"](**{"off_axis": 0.1})
+    bent: Any = (jnp.asarray(0.25), jnp.asarray(0.25))
+    (first, second), _ = lens.sense((), bent, SimpleNamespace())
+    np.testing.assert_allclose((first, second), (0.25 * (1 + 0.1 / 4), 0.25 * 1.1), rtol=1e-12)
+    np.testing.assert_allclose(lens.unsense((first, second)), (0.25, 0.25), rtol=1e-9)
+
+
+def test_one_supply_limits_what_both_drives_draw():
+    kind: Any = REGISTRY["actuator_saturation"]
+    both: Any = (jnp.asarray(12.0), jnp.asarray(8.0))
+    for shared, expected in ((0.0, (10.0, 8.0)), (1.0, (6.0, 4.0))):
+        limit = kind(share=1.0, limit_n=10.0, edge=16.0, shared=shared)
+        now: Any = SimpleNamespace(u=both, h=jnp.asarray(1e-3))
+        (one, other), _ = limit.actuate(limit.start(now), both, now)
+        np.testing.assert_allclose((one, other), expected, rtol=0.02)
+
+
+def test_a_body_that_bends_to_a_tendon_lets_go_of_its_cable():
+    """Bent by 1 rad to the left: 0.2 s of cable at hand there, half of it at T_s, which a tension of 10 N winds up
+    before the body feels it; none on the other side."""
+    kind: Any = REGISTRY["tendon_slack"]
+    slack, h = kind(freed=0.2, slack_n=10.0), 0.01
+    tension: Any = (jnp.asarray(10.5), jnp.asarray(10.5))
+    now: Any = SimpleNamespace(u=tension, v=(jnp.asarray(10.0), jnp.asarray(0.0)), h=jnp.asarray(h))
+    memory, felt = slack.start(now), []
+    still: Any = SimpleNamespace(u=tension, v=(jnp.asarray(0.0),) * 2, h=jnp.asarray(h))
+    for k in range(60):
+        u, memory = slack.actuate(memory, tension, now if k < 10 else still)
+        felt.append([float(x) for x in u])
+    left, right = np.array(felt).T
+    assert np.all(right == 10.5)
+    assert left[10] == 0.0 and left[-1] == 10.5 and 0.05 < h * np.sum(left == 0.0) < 0.3

@@ -1,0 +1,123 @@
+"""Effects that grow and shrink with load, vacuum, bend, rate, warmth and the sense of motion: `varying`.
+
+No real robot's effect has quite the form that a library gives it. The sizes of a varying effect are m times what they
+say,
+
+    m = (1 + Σ aᵢ gᵢ)₊,
+
+each gᵢ from 0 (at rest, cold and without load) towards 1, but for the sense of motion, from −1 (straightening) to 1.
+"""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Callable
+from functools import cache
+from typing import Any, cast
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ljjax.effect import Effect, Memory, Now, Vector, variation
+
+LOAD_N, VACUUM_KPA, BEND_RAD, RATE_RAD_S, WARMTH_K, SENSE_RAD2_S = 10.0, 15.0, 0.1, 0.2, 2.0, 0.005
+"""Where what an effect varies with is halfway."""
+WAYS = {
+    "by_load": f"T/(T + {LOAD_N:g} N), T both tensions together; twice its own, for what acts on a tendon by itself",
+    "by_vacuum": f"P/(P + {VACUUM_KPA:g} kPa)",
+    "by_bend": f"q²/(q² + ({BEND_RAD:g} rad)²), q of the mean joint",
+    "by_rate": f"v²/(v² + ({RATE_RAD_S:g} rad/s)²), v of the mean joint",
+    "by_warmth": f"W/(W + {WARMTH_K:g} K), W the warming since the first run, by the clock where none is logged",
+    "by_sense": f"qv/(abs(qv) + {SENSE_RAD2_S:g} rad²/s), positive where the body bends further",
+}
+"""What an effect may vary with, and how."""
+LEAST = 0.02
+"""The share of a stiffness or friction that a varying effect leaves at least."""
+
+
+class _Varying(Effect):
+    by_load: Array = variation(-1.0, 4.0)
+    by_vacuum: Array = variation(-1.0, 4.0)
+    by_bend: Array = variation(-1.0, 4.0)
+    by_rate: Array = variation(-1.0, 4.0)
+    by_warmth: Array = variation(-1.0, 4.0)
+    by_sense: Array = variation(-1.0, 1.0)
+
+    def _amount(self, now: Now, load: Array) -> Array:
+        """m of a step under a load [N]."""
+        n = len(now.q)
+        bend, rate = sum(now.q) / n, sum(now.v) / n
+        turn = bend * rate
+        share = (
+            (self.by_load, load / (load + LOAD_N)),
+            (self.by_vacuum, now.vacuum / (now.vacuum + VACUUM_KPA)),
+            (self.by_bend, bend**2 / (bend**2 + BEND_RAD**2)),
+            (self.by_rate, rate**2 / (rate**2 + RATE_RAD_S**2)),
+            (self.by_warmth, now.warm / (now.warm + WARMTH_K)),
+            (self.by_sense, turn / (jnp.abs(turn) + SENSE_RAD2_S)),
+        )
+        return jnp.maximum(1 + sum(a * g for a, g in share), 0.0)
+
+
+@cache
+def varying(kind: type[Effect]) -> type[Effect]:
+    """The effect of the same id that varies; at the null values of `WAYS` it is `kind`. A transport delay does not."""
+    has = {name for name in vars(Effect) if getattr(kind, name) is not getattr(Effect, name)}
+
+    def at(self: Any, m: Array) -> Effect:
+        """The effect of a step."""
+        sizes = kind.sizes()
+        return kind(**{n: getattr(self, n) * m if n in sizes else getattr(self, n) for n in kind.fields()})
+
+    def start(self: Any, now: Now) -> Memory:
+        m = self._amount(now, now.u[0] + now.u[1])
+        return at(self, m).start(now), m
+
+    def actuate(self: Any, memory: Memory, u: Vector, now: Now) -> tuple[Vector, Memory]:
+        inner, m = memory[0], self._amount(now, u[0] + u[1])
+        if "start" in has or "actuate" not in has:
+            u, inner = at(self, m).actuate(inner, u, now)
+        else:  # each tendon by its own load
+            u = tuple(at(self, self._amount(now, x)).actuate(inner, u, now)[0][i] for i, x in enumerate(u))
+        return tuple(jnp.maximum(x, 0.0) for x in u), (inner, m)
+
+    def evacuate(self: Any, memory: Memory, vacuum: Array, now: Now) -> tuple[Array, Memory]:
+        vacuum, inner = at(self, memory[1]).evacuate(memory[0], vacuum, now)
+        return jnp.maximum(vacuum, 0.0), (inner, memory[1])
+
+    def scaled(name: str) -> Callable:
+        def hook(self: Any, memory: Memory, x: Vector, now: Now) -> Vector:
+            new = getattr(at(self, memory[1]), name)(memory[0], x, now)
+            return tuple(jnp.maximum(b, LEAST * a) for a, b in zip(x, new, strict=True))
+
+        return hook
+
+    def inertia(self: Any, m: tuple[Vector, ...], now: Now) -> tuple[Vector, ...]:
+        return at(self, self._amount(now, now.u[0] + now.u[1])).inertia(m, now)
+
+    def load(self: Any, memory: Memory, load: Vector, now: Now) -> Vector:
+        return at(self, memory[1]).load(memory[0], load, now)
+
+    def torque(self: Any, memory: Memory, i: int, q: Array, v: Array, stage: Any) -> Array | None:
+        return at(self, memory[1]).torque(memory[0], i, q, v, stage)
+
+    def remember(self: Any, memory: Memory, now: Now, after: Any) -> Memory:
+        return at(self, memory[1]).remember(memory[0], now, after), memory[1]
+
+    def sense(self: Any, memory: Memory, y: Vector, now: Now) -> tuple[Vector, Memory]:
+        y, inner = at(self, memory[1]).sense(memory[0], y, now)
+        return y, (inner, memory[1])
+
+    own = {"evacuate": evacuate, "load": load, "torque": torque, "remember": remember, "sense": sense}
+    own |= {"inertia": inertia, **{name: scaled(name) for name in ("alpha2", "phi", "slip")}}
+    hooks = {"start": start, "actuate": actuate, **{name: hook for name, hook in own.items() if name in has}}
+    said = {"__module__": kind.__module__, "__doc__": kind.__doc__}
+    return cast(
+        type[Effect], types.new_class(kind.__name__, (_Varying, kind), exec_body=lambda n: n.update(said | hooks))
+    )
+
+
+def varies(kind: type[Effect]) -> bool:
+    """Whether anything that an effect does can vary: a mere transport delay cannot."""
+    hooks = ("actuate", "evacuate", "alpha2", "phi", "slip", "load", "torque", "sense")
+    return any(getattr(kind, name) is not getattr(Effect, name) for name in hooks)

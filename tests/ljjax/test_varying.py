@@ -1,0 +1,80 @@
+"""Effects that vary: the same without, the right derivatives, model files."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from ljjax import modelfile
+from ljjax.effects import REGISTRY, build
+from ljjax.effects.varying import WAYS, varies, varying
+from ljjax.model import get, limits, replace
+from ljjax.modelfile import ModelFile
+from ljjax.simulation import simulate
+from tests.ljjax.motion import drive, seen
+
+
+def with_sizes(model, share: float, kinds):
+    """The model with these effects, each so large a share of its typical size."""
+    effects = tuple(k(**{n: k.fields()[n]["null"] + share * k.fields()[n]["scale"] for n in k.sizes()}) for k in kinds)
+    return dataclasses.replace(model, effects=effects)
+
+
+def test_an_effect_that_does_not_vary_is_as_it_was(robot):
+    plain, free = (
+        seen(with_sizes(robot(3), 0.3, kinds), drive())
+        for kinds in (REGISTRY.values(), map(varying, REGISTRY.values()))
+    )
+    bare = seen(robot(3), drive())
+    assert float(jnp.abs(plain - bare).max()) > 0.01
+    np.testing.assert_allclose(free, plain, rtol=0, atol=1e-11)
+    assert [k.id for k in REGISTRY.values() if not varies(k)] == ["actuator_delay"]
+
+
+@pytest.mark.parametrize(
+    ("effect", "way"),
+    [
+        ("actuator_gain", "by_load"),
+        ("actuator_lag", "by_sense"),
+        ("pressure_lag", "by_rate"),
+        ("stiffness_saturation", "by_vacuum"),
+        ("viscous_damping", "by_bend"),
+        ("base_tilt", "by_load"),
+        ("layer_hysteresis", "by_vacuum"),
+        ("sensor_filter", "by_rate"),
+    ],
+)
+def test_a_way_to_vary_changes_the_motion_and_has_the_right_derivative(robot, effect, way):
+    model = with_sizes(robot(3), 1.5, [varying(REGISTRY[effect])])
+    path, d = f"effects.{effect}.{way}", 1e-5
+
+    def at(x):
+        return seen(replace(model, {path: x}), drive())
+
+    still, slope = jax.jvp(at, (jnp.asarray(0.4),), (jnp.asarray(1.0),))
+    assert float(jnp.abs(still - at(0.0)).max()) > 1e-5
+    expected = (at(0.4 + d) - at(0.4 - d)) / (2 * d)
+    assert float(jnp.abs(slope - expected).max()) < 0.02 * float(jnp.abs(expected).max()) + 1e-9
+
+
+def test_an_effect_never_turns_round(robot):
+    """However much less of it there is to be: −1 by everything is none at all."""
+    model = with_sizes(robot(3), 1.5, [varying(REGISTRY["base_tilt"])])
+    none = replace(model, {f"effects.base_tilt.{way}": limits(model)[f"effects.base_tilt.{way}"][0] for way in WAYS})
+    some = replace(model, {"effects.base_tilt.by_load": -1.0, "effects.base_tilt.by_vacuum": -1.0})
+    bare, plain = (seen(m, drive()) for m in (robot(3), model))
+    for less in (none, some):
+        assert float(jnp.abs(seen(less, drive()) - bare).max()) < float(jnp.abs(plain - bare).max())
+
+
+def test_a_model_file_holds_how_an_effect_varies(tmp_path, robot):
+    model = dataclasses.replace(robot(3), effects=(build("base_tilt", {"tilt_rad": 0.1, "by_load": 0.7}),))
+    path = tmp_path / "model.toml"
+    path.write_text(modelfile.dumps(ModelFile(model)))
+    back = modelfile.load(path).model
+    assert float(get(back, "effects.base_tilt.by_load")) == 0.7
+    np.testing.assert_allclose(simulate(back, drive()).seen, simulate(model, drive()).seen, atol=1e-13)
