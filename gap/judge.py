@@ -24,18 +24,20 @@ class Weights:
 
     Attributes:
         sharpness: power of 1/share.
-        leaves: share of a gap that an effect outside the library is taken to leave by the best one inside it.
+        leaves: share of a gap that an effect outside the library is taken to leave by the best one inside it at least.
+        ahead: the same as a share of what the second best leaves: a stand-in is seldom far ahead of all others.
         unforeseen: what stays, whatever the data say, with what nobody has thought of.
         simpler: odds for one parameter less in use, where two effects leave as much.
     """
 
     sharpness: float
     leaves: float
+    ahead: float
     unforeseen: float
     simpler: float
 
 
-WEIGHTS = Weights(5.0, 0.25, 0.03, 1.5)
+WEIGHTS = Weights(5.0, 0.25, 0.5, 0.03, 1.5)
 """Chosen by hand; what stays with the unforeseen by how often answers of all fresh robots so far were wrong that had
 nothing else in doubt: 4 of 105."""
 NONE = 8.0
@@ -111,7 +113,8 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
         i: by.simpler ** -e.used.get(i, e.parameters[i]) * (x + 2 * e.unit * e.parameters[i]) ** -by.sharpness
         for i, x in share.items()
     }
-    weight["unlisted_effect"] = 0.5 / by.simpler * (by.leaves + blur) ** -by.sharpness
+    second = min(sorted(e.left.values())[1] - least, 1.0) if len(e.left) > 1 else 0.0
+    weight["unlisted_effect"] = 0.5 / by.simpler * (max(by.leaves, by.ahead * second) + blur) ** -by.sharpness
     if e.flexible:
         decoy = max(min(e.flexible.values()) - least, 0.0) + blur + 2 * e.unit * TERMS
         weight["unlisted_effect"] += by.simpler**-TERMS * decoy**-by.sharpness

@@ -49,10 +49,11 @@ def fitted(rows: Sequence[Row]) -> Weights:
     """The weights under which the right answers are most probable; a single case pulls them little from `WEIGHTS`."""
 
     def weights(x: np.ndarray) -> Weights:
-        return Weights(np.exp(x[0]), np.exp(x[1]), 1 / (1 + np.exp(-x[2])), np.exp(x[3]))
+        sharpness, leaves, ahead, simpler = np.exp(x[:4])
+        return Weights(sharpness, leaves, ahead, float(1 / (1 + np.exp(-x[4]))), simpler)
 
-    u = WEIGHTS.unforeseen
-    start = np.array([np.log(WEIGHTS.sharpness), np.log(WEIGHTS.leaves), np.log(u / (1 - u)), np.log(WEIGHTS.simpler)])
+    w, u = WEIGHTS, WEIGHTS.unforeseen
+    start = np.log([w.sharpness, w.leaves, w.ahead, w.simpler, u / (1 - u)])
 
     def cost(x: np.ndarray) -> float:
         return float(-np.sum(np.log(np.maximum(likely(rows, weights(x)), 1e-12))) + 0.5 * np.sum((x - start) ** 2))

@@ -21,17 +21,20 @@ class ActuatorDelay(Effect):
 
 class ActuatorDeadband(Effect):
     """Stiction of gearbox and spool eats a share s ± δ of each tension's first d newtons, each tendon with a motor of
-    its own: T − s T (1 + (T/d)^p)^(−1/p), (T − d)₊ for s = 1 and a sharp edge, p → ∞."""
+    its own: T − s T (1 + (T/d)^p)^(−1/p), (T − d)₊ for s = 1 and a sharp edge, p → ∞. Where what turns rubs less the
+    more it is drawn, what is eaten falls as exp(−f (T/d − 1)₊)."""
 
     id, block, axes = "actuator_deadband", "actuation", ("load", "everywhere", "angle")
     share: jax.Array = parameter("1", 0.0, 0.0, 1.0, 0.5)
     difference: jax.Array = parameter("1", 0.0, -0.5, 0.5, 0.2)
     band_n: jax.Array = shape("N", 1.0, 0.01, 50.0, (0.02, 0.05, 0.12), "tension")
     edge: jax.Array = shape("1", 8.0, 1.0, 8.0, (2.0, 8.0))
+    fades: jax.Array = shape("1", 0.0, 0.0, 3.0, (0.5, 0.0))
 
     def actuate(self, memory, u, now):
         shares = self.share + self.difference, self.share - self.difference
-        left = [t - s * bounded(t, self.band_n, self.edge) for s, t in zip(shares, u, strict=True)]
+        part = [jnp.exp(-self.fades * jnp.maximum(t / self.band_n - 1, 0.0)) for t in u]
+        left = [t - s * f * bounded(t, self.band_n, self.edge) for s, f, t in zip(shares, part, u, strict=True)]
         return tuple(jnp.where(t > 0, positive(x), x) for t, x in zip(u, left, strict=True)), memory
 
 

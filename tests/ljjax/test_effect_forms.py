@@ -350,3 +350,11 @@ def test_a_body_that_bends_to_a_tendon_lets_go_of_its_cable():
     left, right = np.array(felt).T
     assert np.all(right == 10.5)
     assert left[10] == 0.0 and left[-1] == 10.5 and 0.05 < h * np.sum(left == 0.0) < 0.3
+
+
+def test_what_turns_may_rub_less_the_more_it_is_drawn():
+    kind: Any = REGISTRY["actuator_deadband"]
+    band, now = kind(share=1.0, band_n=2.0, edge=8.0, fades=0.5), SimpleNamespace()
+    drawn: Any = (jnp.asarray(1.0), jnp.asarray(10.0))
+    (below, above), _ = band.actuate((), drawn, now)
+    np.testing.assert_allclose((below, above), (0.0, 10 - 2 * np.exp(-2.0)), atol=2e-3)
