@@ -24,8 +24,8 @@ class Weights:
 
     Attributes:
         sharpness: power of 1/share.
-        leaves: share of a gap that an effect outside the library is taken to leave by the best one inside it at least.
-        ahead: the same as a share of what the second best leaves: a stand-in is seldom far ahead of all others.
+        leaves: share of a gap that an effect outside the library is taken to leave by the best one inside it.
+        ahead: share of what the second best leaves below which the best is ahead of all others, as few stand-ins are.
         unforeseen: what stays, whatever the data say, with what nobody has thought of.
         simpler: odds for one parameter less in use, where two effects leave as much.
     """
@@ -37,7 +37,7 @@ class Weights:
     simpler: float
 
 
-WEIGHTS = Weights(5.0, 0.25, 0.5, 0.03, 1.5)
+WEIGHTS = Weights(5.0, 0.25, 0.6, 0.03, 1.5)
 """Chosen by hand; what stays with the unforeseen by how often answers of all fresh robots so far were wrong that had
 nothing else in doubt: 4 of 105."""
 NONE = 8.0
@@ -110,11 +110,12 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
     share = {i: _carried(left - least + blur, e.unseen.get(i, left) - least + blur) for i, left in e.left.items()}
     share |= {i: max(share[i], min(x, 1.0) - KEPT) for i, x in e.held_out.items()}
     weight = {
-        i: by.simpler ** -e.used.get(i, e.parameters[i]) * (x + 2 * e.unit * e.parameters[i]) ** -by.sharpness
+        i: by.simpler ** -e.used.get(i, e.parameters[i])
+        * (x + 2 * e.unit * e.parameters[i]) ** -by.sharpness
+        * max(1 - x, 0.0)  # a cause that leaves nearly all is none
         for i, x in share.items()
     }
-    second = min(sorted(e.left.values())[1] - least, 1.0) if len(e.left) > 1 else 0.0
-    weight["unlisted_effect"] = 0.5 / by.simpler * (max(by.leaves, by.ahead * second) + blur) ** -by.sharpness
+    weight["unlisted_effect"] = 0.5 / by.simpler * (_outside(e, least, by) + blur) ** -by.sharpness
     if e.flexible:
         decoy = max(min(e.flexible.values()) - least, 0.0) + blur + 2 * e.unit * TERMS
         weight["unlisted_effect"] += by.simpler**-TERMS * decoy**-by.sharpness
@@ -124,6 +125,14 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
         surprise = 0.5 if i == "unlisted_effect" else 0.5 / max(len(weight) - 1, 1)
         out[i] += rest * ((1 - by.unforeseen) * w / total + by.unforeseen * surprise)
     return out
+
+
+def _outside(e: Evidence, least: float, by: Weights) -> float:
+    """The share that the best effect is taken to leave of one outside the library: more where it is far ahead of all
+    others, as a stand-in is not; in full where it leaves half of what would make it so."""
+    first, second, *_ = sorted(min(x - least, 1.0) for x in (*e.left.values(), 1.0, 1.0))
+    far = min(max(2 - 2 * first / (by.ahead * second), 0.0), 1.0) if second > 0 else 0.0
+    return by.leaves + far * max(by.ahead * second - by.leaves, 0.0)
 
 
 def _carried(fitted: float, left_out: float) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -319,8 +319,8 @@ def test_a_load_beside_the_axis_is_a_load(robot):
 def test_a_lens_stretches_what_is_off_the_axis():
     """The second of two links that lean alike by 0.25 rad is 0.5 rad off, which counts in full."""
     lens = REGISTRY["sensor_scale"](**{"off_axis": 0.1})
-    bent: Any = (jnp.asarray(0.25), jnp.asarray(0.25))
-    (first, second), _ = lens.sense((), bent, SimpleNamespace())
+    bent, now = (jnp.asarray(0.25), jnp.asarray(0.25)), cast(Any, SimpleNamespace())
+    (first, second), _ = lens.sense((), bent, now)
     np.testing.assert_allclose((first, second), (0.25 * (1 + 0.1 / 4), 0.25 * 1.1), rtol=1e-12)
     np.testing.assert_allclose(lens.unsense((first, second)), (0.25, 0.25), rtol=1e-9)
 
