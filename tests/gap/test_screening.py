@@ -266,6 +266,39 @@ def test_no_gap_is_unexplained_before_every_effect_has_been_tried():
     assert cause not in tried(first)[1]  # what explains the runs at once leaves the rest untried
 
 
+@pytest.mark.parametrize(
+    ("alone", "varied", "vary"),
+    [
+        ({"base_tilt": 0.3, "contact": 0.35, "sensor_bias": 0.95}, {"base_tilt": 0.02, "contact": 0.3}, {"base_tilt"}),
+        ({"base_tilt": 0.3, "contact": 0.8}, {"base_tilt": 0.29}, set()),  # that helps none
+        ({"base_tilt": 0.01, "contact": 0.02}, {}, set()),  # nothing is left to be told
+        ({"actuator_delay": 0.3}, {}, set()),  # it cannot
+    ],
+)
+def test_leaders_that_leave_much_may_vary(alone, varied, vary):
+    def refitted(effect: str, left: float) -> Any:
+        return SimpleNamespace(ids=(effect,), total=100 + 900 * left)
+
+    asked: list[str] = []
+
+    class Told(Study):
+        def varied(self, refits, stage):
+            asked.extend(r.ids[0] for r in refits)
+            return [refitted(i, varied[i]) for i in asked]
+
+    any_: Any = None
+    selection: Any = object.__new__(Selection)
+    selection.study = Told(any_, (), list(REGISTRY.values()), (any_, any_), 0.0, {})
+    selection.floor, selection.excess = 100.0, 900.0
+    selection.left = lambda refit: (refit.total - 100) / 900
+    single = {i: refitted(i, x) for i, x in alone.items()}
+    selection._vary(single)
+    assert set(asked) == set(varied)
+    assert {i for i, r in single.items() if selection.left(r) < alone[i]} == vary
+    free = {k.id for k in selection.study.kinds if "by_load" in k.fields()}
+    assert free == (set(varied) if vary else set())
+
+
 @pytest.mark.parametrize("leaves, kept", [(0.05, True), (0.2, False)])
 def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_from_the_given_model(leaves, kept):
     kinds = list(REGISTRY.values())
@@ -286,7 +319,7 @@ def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_from_
     selection.unit_of = lambda refit: 1e-4
     selection._further = lambda best, unit: [refitted(Trial(("contact", "base_tilt")), 0.38)]
     selection._pairs = lambda singles, hopeless: []
-    selection._prune = selection._exchange = lambda *_: None
+    selection._prune = selection._exchange = selection._vary = lambda *_: None
     selection._on_few = few
     steps = {(k.id, 0): Trial((k.id,), {f"effects.{k.id}.{next(iter(k.sizes()))}": 0.1}) for k in kinds}
     selection.study = SimpleNamespace(kinds=kinds, start=None, trial=lambda screen, key: (steps[key], None))

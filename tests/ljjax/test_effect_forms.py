@@ -210,7 +210,7 @@ def test_a_slack_tendon_is_wound_up_before_the_body_feels_it():
     kind: Any = REGISTRY["tendon_slack"]
     slack, h = kind(slack_s=0.02, slack_n=1.0), 0.001
     for tension, dead in ((10.0, 0.020), (40.0, 0.010)):
-        now: Any = SimpleNamespace(u=(jnp.asarray(5.0), jnp.asarray(5.0)), h=jnp.asarray(h))
+        now: Any = SimpleNamespace(u=(jnp.asarray(5.0),) * 2, v=(jnp.zeros(()),) * 2, h=jnp.asarray(h))
         memory, felt = slack.start(now), []
         for u in [5.0] * 5 + [0.1] * 200 + [tension] * 40:
             (left, right), memory = slack.actuate(memory, (jnp.asarray(u), jnp.asarray(5.0)), now)
