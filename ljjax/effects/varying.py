@@ -5,7 +5,7 @@ say,
 
     m = (1 + Σ aᵢ gᵢ)₊,
 
-each gᵢ from 0 (at rest, cold and without load) towards 1, but for the sense of motion, from −1 (straightening) to 1.
+each gᵢ from 0 (at rest and without load) towards 1; warmth and the sense of motion from −1 (cooler, straightening).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ WAYS = {
     "by_vacuum": f"P/(P + {VACUUM_KPA:g} kPa)",
     "by_bend": f"q²/(q² + ({BEND_RAD:g} rad)²), q of the mean joint",
     "by_rate": f"v²/(v² + ({RATE_RAD_S:g} rad/s)²), v of the mean joint",
-    "by_warmth": f"W/(W + {WARMTH_K:g} K), W the warming since the first run, by the clock where none is logged",
+    "by_warmth": f"W/(abs(W) + {WARMTH_K:g} K), W the warming since the first run, by the clock where none is logged",
     "by_sense": f"qv/(abs(qv) + {SENSE_RAD2_S:g} rad²/s), positive where the body bends further",
 }
 """What an effect may vary with, and how."""
@@ -53,7 +53,7 @@ class _Varying(Effect):
             (self.by_vacuum, now.vacuum / (now.vacuum + VACUUM_KPA)),
             (self.by_bend, bend**2 / (bend**2 + BEND_RAD**2)),
             (self.by_rate, rate**2 / (rate**2 + RATE_RAD_S**2)),
-            (self.by_warmth, now.warm / (now.warm + WARMTH_K)),
+            (self.by_warmth, now.warm / (jnp.abs(now.warm) + WARMTH_K)),
             (self.by_sense, turn / (jnp.abs(turn) + SENSE_RAD2_S)),
         )
         return jnp.maximum(1 + sum(a * g for a, g in share), 0.0)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -69,6 +71,16 @@ def test_an_effect_never_turns_round(robot):
     bare, plain = (seen(m, drive()) for m in (robot(3), model))
     for less in (none, some):
         assert float(jnp.abs(seen(less, drive()) - bare).max()) < float(jnp.abs(plain - bare).max())
+
+
+def test_a_robot_may_cool():
+    """By any number of kelvin: what it varies with stays between −1 and 1."""
+    kind: Any = varying(REGISTRY["base_tilt"])
+    zero = jnp.zeros(())
+    still: Any = SimpleNamespace(q=(zero,), v=(zero,), vacuum=zero)
+    for warm, expected in ((2.0, 1.5), (-2.0, 0.5), (-1e6, 0.0)):
+        still.warm = jnp.asarray(warm)
+        np.testing.assert_allclose(kind(by_warmth=1.0)._amount(still, zero), expected, atol=1e-5)
 
 
 def test_a_model_file_holds_how_an_effect_varies(tmp_path, robot):
