@@ -149,6 +149,11 @@ def _weak(rng: np.random.Generator, setting: Setting) -> list[float]:
     return list(x)
 
 
+def _stepped(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """Of two materials, one up to some joint and one beyond it."""
+    return _level(rng.choice([-1.0, 1.0]) * (np.arange(JOINTS) < rng.integers(2, JOINTS - 1)))
+
+
 def _lump(rng: np.random.Generator, setting: Setting) -> list[float]:
     """All of the weight at the end of one of the middle links."""
     last = int(rng.integers(1, JOINTS - 1))
@@ -169,9 +174,20 @@ def _bracket(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [rng.uniform(0, 0.02), rng.choice([-1, 1]) * rng.uniform(0.02, 0.045), rng.uniform(0.03, 0.06)]
 
 
+def _between_runs(rng: np.random.Generator, setting: Setting) -> list[float]:
+    return [(int(rng.integers(2, 6)) - 0.2) * setting.apart_s]
+
+
 def _obstacle(rng: np.random.Generator, setting: Setting) -> list[float]:
     side = int(rng.integers(2))
     return [rng.uniform(0.45, 0.65) * setting.tip_m[side], (1.0, -1.0)[side]]
+
+
+def _midway(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """At the end of one of the middle links, which goes less far to the side than the tip."""
+    where, side = _obstacle(rng, setting)
+    last = int(rng.integers(2, 4))
+    return [where * ((last + 1) / (JOINTS - 0.5)) ** 2, side, float(last)]
 
 
 def _bent(low: float, high: float) -> Draw:
@@ -249,7 +265,11 @@ def _seed(rng: np.random.Generator, setting: Setting) -> list[float]:
 LISTED = (
     Cause(
         *("tendon_friction", "actuation", ("direction", "load", "angle")),
-        (*_alike(0.05, 0.5, _between((0.03, 0.15)), _none, _sides(0.05, 0.3)), Shape(0.1, 1, _liners, ("segment",))),
+        (
+            *_alike(0.05, 0.5, _between((0.03, 0.15)), _none, _sides(0.05, 0.3)),
+            Shape(0.1, 1, _liners, ("segment",)),
+            Shape(0.05, 0.5, _none),
+        ),
     ),
     Cause(
         *("tendon_slack", "actuation", ("direction", "load")),
@@ -257,6 +277,7 @@ LISTED = (
             *_alike(0.3, 6, _none, _none),
             Shape(2, 30, _between((15, 60)), ("time", "rate")),
             Shape(2, 40, _between((10, 40)), ("time", "rate", "angle")),
+            Shape(0.3, 6, _between((0.05, 0.3))),
         ),
     ),
     Cause(
@@ -264,33 +285,41 @@ LISTED = (
         (
             *_alike(0.02, 0.5, _none, _none, _between((0.3, 0.6))),
             Shape(0.02, 0.5, _between((1.5, 4), (2, 8)), ("load",)),
+            Shape(0.05, 0.5, _between((8, 20))),
         ),
     ),
     Cause(
         *("actuator_delay", "actuation", ("rate", "direction", "time")),
-        _alike(0.02, 0.3, _between((0.05, 0.3), (0, 6)), _none, _seed, _sides(0.2, 0.6)),
+        _alike(0.02, 0.3, _between((0.05, 0.3), (0, 6)), _none, _seed, _sides(0.2, 0.6), _between((0, 1))),
     ),
     Cause(
         *("actuator_deadband", "actuation", ("load", "angle")),
-        _alike(0.4, 5, _none, _none, _sides(0.2, 0.6), _between((0.8, 2.5))),
+        _alike(0.4, 5, _none, _none, _sides(0.2, 0.6), _between((0.8, 2.5)), _none),
     ),
     Cause(
         *("actuator_gain", "actuation", ("load", "angle", "everywhere", "direction")),
-        _alike(0.05, 0.5, _sides(-0.4, 0.4), _sides(0, 0), _none, _then(_sides(-0.4, 0.4), _between((4, 12)))),
+        (
+            *_alike(0.05, 0.5, _sides(-0.4, 0.4), _sides(0, 0), _none, _then(_sides(-0.4, 0.4), _between((4, 12)))),
+            Shape(0.05, 0.5, _then(_sides(-0.4, 0.4), _between((2, 8))), ("time",)),
+        ),
         signed=True,
     ),
-    Cause("actuator_ripple", "actuation", ("angle", "load"), _alike(0.3, 4, _ripple, _ripple, _ripple, _ripple)),
+    Cause(
+        *("actuator_ripple", "actuation", ("angle", "load")),
+        _alike(0.3, 4, *[_ripple] * 4, _then(_ripple, _between((0.2, 0.45)))),
+    ),
     Cause(
         *("actuator_saturation", "actuation", ("load", "angle")),
         (
             *_alike(0.3, 0.8, _peak, _peak),
             Shape(0.3, 0.8, _then(_peak, _between((0.2, 0.8))), ("time",)),
             Shape(0.4, 0.85, _peak),
+            Shape(0.3, 0.8, _then(_peak, _between((0.05, 0.15))), ("rate",)),
         ),
     ),
     Cause(
         *("pressure_lag", "jamming", ("pressure", "time", "rate")),
-        (Shape(0.5, 6, _between((0.5, 2.2))), *_alike(0.3, 4, *[_between((0.4, 2.5))] * 3)),
+        (Shape(0.5, 6, _between((0.5, 2.2))), *_alike(0.3, 4, *[_between((0.4, 2.5))] * 4)),
     ),
     Cause(
         *("pressure_leak", "jamming", ("pressure", "time")),
@@ -299,20 +328,32 @@ LISTED = (
             Shape(0.4, 0.95, _between((1.5, 6))),
             Shape(1, 12, _between((0.2, 1)), ("angle",)),
             Shape(1, 12, _between((0.2, 1)), ("rate",)),
+            Shape(0.3, 0.95, _between((150, 500)), ("run",)),
         ),
     ),
     Cause(
         *("pressure_bias", "jamming", ("pressure",)),
-        (*_alike(1, 8, _none, _none, _none), Shape(1, 8, _seed, ("run",))),
+        (
+            *_alike(1, 8, _none, _none, _none),
+            Shape(1, 8, _seed, ("run",)),
+            Shape(1, 8, _none, ("run", "time")),
+        ),
         signed=True,
     ),
     Cause(
         *("stiffness_saturation", "jamming", ("pressure",)),
-        (*_alike(1, 8, _none, _none, _none), *_alike(0.3, 1, _between((6, 12)), _between((5, 14)))),
+        (
+            *_alike(1, 8, _none, _none, _none),
+            *_alike(0.3, 1, _between((6, 12)), _between((5, 14))),
+            Shape(0.2, 0.85, _none),
+        ),
     ),
     Cause(
         *("friction_saturation", "jamming", ("pressure",)),
-        (Shape(1, 8, _none), *_alike(0.3, 1, _between((1.5, 6)), _between((2, 7)), _between((5, 12)))),
+        (
+            Shape(1, 8, _none),
+            *_alike(0.3, 1, _between((1.5, 6)), _between((2, 7)), _between((5, 12)), _between((4, 12))),
+        ),
     ),
     Cause(
         *("layer_hysteresis", "jamming", ("direction",)),
@@ -321,6 +362,7 @@ LISTED = (
             Shape(0.02, 0.3, _between((0.02, 0.07), (1, 2))),
             Shape(0.04, 1, _between((0.02, 0.05)), ("angle",)),
             Shape(0.02, 0.3, _none, ("pressure",)),
+            Shape(0.02, 0.3, _between((0.02, 0.06))),
         ),
     ),
     Cause(
@@ -329,15 +371,24 @@ LISTED = (
             *_alike(0.3, 0.9, _between((3, 10)), _between((3, 15))),
             Shape(0.3, 4, _between((1, 5))),
             Shape(0.3, 0.9, _between((4, 12))),
+            Shape(0.3, 0.9, _between((4, 15)), ("pressure",)),
         ),
     ),
     Cause(
         *("viscoelastic_creep", "structure", ("time", "rate")),
-        _alike(0.3, 6, _none, _between((0.5, 6)), _between((2, 10)), _between((0.5, 4), (3, 8))),
+        (
+            *_alike(0.3, 6, _none, _between((0.5, 6)), _between((2, 10)), _between((0.5, 4), (3, 8))),
+            Shape(0.3, 5, _between((0.5, 5), (0.08, 0.16)), ("angle",)),
+        ),
     ),
     Cause(
         *("viscous_damping", "structure", ("rate", "direction")),
-        (*_alike(0.05, 1.5, _none, _none), Shape(0.1, 6, _none), Shape(0.1, 3, _none, ("angle",))),
+        (
+            *_alike(0.05, 1.5, _none, _none),
+            Shape(0.1, 6, _none),
+            Shape(0.1, 3, _none, ("angle",)),
+            Shape(0.05, 1.5, _none, ("pressure",)),
+        ),
     ),
     Cause(
         *("stiffness_hardening", "structure", ("angle", "load")),
@@ -345,6 +396,7 @@ LISTED = (
             *(Shape(3, 60, _none), Shape(15, 400, _none)),
             Shape(1, 20, _between((0.07, 0.14)), ("pressure",)),
             Shape(2, 40, _between((0.06, 0.12))),
+            Shape(0.5, 20, _between((0.28, 0.45))),
         ),
     ),
     Cause(
@@ -353,6 +405,7 @@ LISTED = (
             *_alike(0.01, 0.25, _curved, _fixed(*[1.0] * JOINTS)),
             Shape(0.01, 0.2, _kinked, ("segment",)),
             Shape(0.01, 0.2, _curved),
+            Shape(0.01, 0.25, _then(_curved, _between((60, 250))), ("run", "time")),
         ),
         signed=True,
     ),
@@ -362,6 +415,7 @@ LISTED = (
             *_alike(0.1, 1.0, _none, _none),
             Shape(0.1, 0.8, _seed, ("run",)),
             Shape(0.1, 1.0, _between((60, 200)), ("run", "time")),
+            Shape(0.1, 1.0, _break, ("run", "time")),
         ),
         signed=True,
     ),
@@ -370,6 +424,7 @@ LISTED = (
         (
             *_alike(0.03, 0.4, _payload, _fixed(0, 0, 0), _gripper),
             Shape(0.03, 0.4, _bracket, ("everywhere", "pressure")),
+            Shape(0.03, 0.4, _then(_payload, _between_runs), ("run",)),
         ),
     ),
     Cause(
@@ -377,6 +432,7 @@ LISTED = (
         (
             *_alike(0.5, 3, _fixed(*(1 - 0.12 * (i - 2.5) for i in range(JOINTS))), _fixed(*[1.0] * JOINTS), _lump),
             Shape(0.5, 3, _lump, ("load",)),
+            Shape(0.5, 3, _lump, ("rate",)),
         ),
     ),
     Cause(
@@ -386,6 +442,7 @@ LISTED = (
             Shape(0.1, 0.6, _then(_tapered, _fixed(0.3, 1.5)), ("pressure",)),
             Shape(0.1, 0.45, _then(_weak, _fixed(1, 1))),
             Shape(0.1, 0.7, _then(_uneven, _fixed(1, 1)), ("angle",)),
+            Shape(0.1, 0.6, _then(_stepped, _fixed(1, 1))),
         ),
     ),
     Cause(
@@ -394,23 +451,29 @@ LISTED = (
             *_alike(100, 1e4, _obstacle, _obstacle),
             Shape(3, 100, _bent(0.45, 0.65)),
             Shape(100, 1e4, _then(_obstacle, _between((0.004, 0.015)))),
+            Shape(100, 1e4, _midway, ("segment",)),
         ),
     ),
     Cause(
         *("friction_asymmetry", "friction", ("direction",)),
-        (*_alike(0.1, 0.65, _none, _none, _none), Shape(0.1, 0.65, _none, ("angle",))),
+        (*_alike(0.1, 0.65, _none, _none, _none), Shape(0.1, 0.65, _none, ("angle",)), Shape(0.1, 0.65, _none)),
         signed=True,
     ),
     Cause(
         *("load_dependent_friction", "friction", ("load", "pressure")),
-        (*_alike(0.2, 4, _none, _none), Shape(0.2, 4, _none, ("segment",)), Shape(0.2, 4, _none, ("angle",))),
+        (
+            *_alike(0.2, 4, _none, _none),
+            Shape(0.2, 4, _none, ("segment",)),
+            Shape(0.2, 4, _none, ("angle",)),
+            Shape(0.2, 4, _none),
+        ),
     ),
     Cause(
         *("thermal_drift", "friction", ("time", "run")),
         (
             *_alike(0.2, 2.5, _which, _warming),
             Shape(0.2, 0.8, _between((1.5, 4))),
-            Shape(0.2, 2.5, _between((4, 12))),
+            *_alike(0.2, 2.5, _between((4, 12)), _between((4, 12))),
         ),
     ),
     Cause(
@@ -419,19 +482,24 @@ LISTED = (
             *_alike(0.001, 0.05, _markers, _fixed(*[1.0] * JOINTS)),
             Shape(0.001, 0.05, _one_marker, ("segment",)),
             Shape(0.001, 0.05, _then(_markers, _knock), ("run", "time")),
+            Shape(0.001, 0.05, _then(_markers, _seed), ("run",)),
         ),
         signed=True,
     ),
     Cause(
         *("sensor_scale", "sensing", ("everywhere", "angle")),
-        (*_alike(0.02, 0.12, _none, _none), Shape(0.02, 0.3, _none), Shape(0.02, 0.22, _none, ("segment",))),
+        (
+            *_alike(0.02, 0.12, _none, _none),
+            Shape(0.02, 0.3, _none),
+            *[Shape(0.02, most, _none, ("segment",)) for most in (0.22, 0.3)],
+        ),
         signed=True,
     ),
     Cause(
         *("sensor_delay", "sensing", ("rate", "direction", "time")),
-        _alike(0.02, 0.3, _between((0.05, 0.2), (0, 6)), _none, _between((1.5, 4), (0, 4)), _seed),
+        _alike(0.02, 0.3, _between((0.05, 0.2), (0, 6)), _none, _between((1.5, 4), (0, 4)), _seed, _seed),
     ),
-    Cause("sensor_filter", "sensing", ("rate", "time", "direction"), _alike(0.05, 0.8, _none, _none, _none, _none)),
+    Cause("sensor_filter", "sensing", ("rate", "time", "direction"), _alike(0.05, 0.8, *[_none] * 5)),
 )
 UNLISTED = (
     Cause("jammed_joint", None, (), _alike(0.5, 12, _joint)),

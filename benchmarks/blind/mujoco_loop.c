@@ -47,7 +47,8 @@ int run(void *model, void *data, const double *robot, const double *extra, int c
             d->ctrl[i] = u[2 * k + i];
             if (m->na && step == begin) d->act[i] = u[i];
             double pressed = (e->capstan ? fabs(bend) : 1) * fabs(d->actuator_force[i]);
-            if (e->capstan > 2) pressed = pow(pressed + 1e-9, 0.7); /* soft liners */
+            if (e->capstan == 4) pressed = (1 + fabs(bend)) * fabs(d->actuator_force[i]); /* a bent sheath too */
+            else if (e->capstan > 2) pressed = pow(pressed + 1e-9, 0.7); /* soft liners */
             m->tendon_frictionloss[i] = calm ? 0 : e->friction[i] * pressed;
         }
         for (int i = 0; i < N; i++) {
@@ -62,7 +63,9 @@ int run(void *model, void *data, const double *robot, const double *extra, int c
             double torque = friction(r, phi, z[i], v, h, &slope, &next);
             d->qfrc_applied[i] -= torque - slope * v;
             double q = d->qpos[i], squeezed = 0.2 + fmin(q * q / 0.02, 4);
-            m->dof_damping[i] = slope + e->damping * (e->where == 2 ? 0.4 + 0.24 * i : e->where == 3 ? squeezed : 1);
+            double stiff = e->where == 4 ? alpha2 / r->c3 : 1; /* in proportion to the stiffness */
+            double times = e->where == 2 ? 0.4 + 0.24 * i : e->where == 3 ? squeezed : stiff;
+            m->dof_damping[i] = slope + e->damping * times;
         }
         mj_step(m, d);
         for (int i = 0; i < N && !calm; i++) {

@@ -43,7 +43,8 @@ def session(truth: Mapping[str, float], causes: Causes, runs: Sequence[Experimen
         each = list(causes["tendon_friction"][1:3])
     where = float(shape.get("viscous_damping", 0))
     extra = np.array([tilt, damping, where, friction * each[0], friction * each[1], capstan, *shares, *uneven])
-    model = mujoco.MjModel.from_xml_string(xml(truth, causes))
+    model = whole = mujoco.MjModel.from_xml_string(xml(truth, causes))
+    bare = mujoco.MjModel.from_xml_string(xml(truth, {})) if shape.get("tip_payload") == 4 else whole
     motions = []
     for i, run in enumerate(runs):
         count = len(run.pressure_kpa)
@@ -53,6 +54,14 @@ def session(truth: Mapping[str, float], causes: Causes, runs: Sequence[Experimen
         if shape.get("base_tilt") == 3:  # a mount that sags, here between the runs
             leaning = tilt * (1 - 0.8 * np.exp(-i * APART_S / causes["base_tilt"][1]))
             extra[0], model.opt.gravity[:] = leaning, _gravity(leaning)
+        if shape.get("base_tilt") == 4:  # a stand that somebody knocks, here between two runs
+            leaning = tilt * (i * APART_S > causes["base_tilt"][1])
+            extra[0], model.opt.gravity[:] = leaning, _gravity(leaning)
+        if shape.get("rest_curvature") == 4:  # a set that it takes little by little, here between the runs
+            d = causes["rest_curvature"]
+            model.qpos_spring[:] = d[0] * np.array(d[1 : 1 + JOINTS]) * -np.expm1(-i * APART_S / d[7])
+        if shape.get("tip_payload") == 4:  # put on between two runs
+            model = whole if i * APART_S > causes["tip_payload"][4] else bare
         data = mujoco.MjData(model)
         u, vacuum = np.ascontiguousarray(run.tendons), np.ascontiguousarray(run.pressure_kpa)
         q, tension = np.empty((count, JOINTS)), np.empty((count, 2))
@@ -93,6 +102,9 @@ def xml(truth: Mapping[str, float], causes: Causes) -> str:
             f'diaginertia="{across:.9g} {across:.9g} {along:.9g}"/>'
         )
         close += "</body>"
+        if stop and not limits and i == (int(stop[3]) if form(stop) == 4 else JOINTS - 1):
+            size = 'size="0.002" mass="1e-9"'
+            body += f'<geom type="sphere" {size} pos="0 0 {-length:.9g}" conaffinity="2" contype="1"/>'
     if "tip_payload" in causes:
         grams, beyond, aside = causes["tip_payload"][:3]
         solid = 'type="sphere" size="0.01"'
@@ -105,9 +117,8 @@ def xml(truth: Mapping[str, float], causes: Causes) -> str:
     wall = ""
     if stop and not limits:
         strength, where, side = stop[:3]
-        soft = ("0.01 1", "0.04 0.7", "", "0.07 0.9")[form(stop)]
+        soft = ("0.01 1", "0.04 0.7", "", "0.07 0.9", "0.02 0.8")[form(stop)]
         away = where * (2.1 - 1.5 * strength / (strength + 1000))  # stronger is nearer
-        body += f'<geom type="sphere" size="0.002" pos="0 0 {-half:.9g}" mass="1e-9" conaffinity="2" contype="1"/>'
         wall = (
             f'<geom type="plane" size="1 1 1" pos="{side * (away + 0.002):.9g} 0 0" zaxis="{-side:.9g} 0 0" '
             f'contype="2" conaffinity="1" condim="1" solref="{soft}"/>'

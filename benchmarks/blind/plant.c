@@ -48,6 +48,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         weight[b] = 9.81 * (own * length[b] / 2 + beyond * length[b]);
     }
     double payload = f[TIP_PAYLOAD][0], arm[N];
+    if (form(f[TIP_PAYLOAD]) == 4 && session < f[TIP_PAYLOAD][4]) payload = 0; /* put on between two runs */
     for (int i = 0; i < N; i++) arm[i] = length[i] + (i == N - 1 ? f[TIP_PAYLOAD][1] : 0);
     if (payload > 0) {
         for (int a = 0; a < N; a++)
@@ -55,6 +56,12 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         inertia[N - 1][N - 1] += 0.4 * payload * f[TIP_PAYLOAD][3] * f[TIP_PAYLOAD][3];
     }
     double spread = f[GRAVITY_DISTRIBUTION][0], cosine = spread > 1 ? 0 : 1 - spread;
+    double lump[N] = {0}; /* [kg] that these links carry, with its inertia */
+    for (int i = 0; i < N && form(f[GRAVITY_DISTRIBUTION]) == 4; i++) {
+        lump[i] = 0.08 * spread * f[GRAVITY_DISTRIBUTION][1 + i];
+        for (int k = 0; k < i; k++) inertia[i][k] = inertia[k][i] += lump[i] * length[i] * length[k];
+        inertia[i][i] += lump[i] * length[i] * length[i];
+    }
     for (int i = 0; i < 2; i++) {
         s.tension[i] = s.first[i] = s.slack[i][0] = s.slack[i][1] = u[i];
         if (form(f[TENDON_SLACK]) == 2) s.slack[i][0] = u[i] < 0.8 ? 1e-3 * f[TENDON_SLACK][0] : 0;
@@ -126,8 +133,10 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             if (t[0] > 0) {
                 double still[1] = {0}, *guide = calm ? still : &s.guide[i];
                 double loss = rubbed(t, guide, s.q[i], calm ? 0 : r->lever * slide[form(t) == 1 ? 0 : i], h);
+                if (form(t) == 4 && i > 0) loss = 0;
                 switch (form(t)) {
                 case 0: a *= 1 - loss, b *= 1 + loss; break;
+                case 4:
                 case 1: a *= exp(-loss), b *= exp(loss); break;
                 case 3: a *= 1 - lined(t, i, s.q[i], a) * loss, b *= 1 + lined(t, i, s.q[i], b) * loss; break;
                 default: a *= 1 - t[1] * loss, b *= 1 + t[2] * loss;
@@ -145,6 +154,8 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             }
             double free = f[REST_CURVATURE][0] * f[REST_CURVATURE][1 + i];
             if (form(f[REST_CURVATURE]) == 3) free *= 0.3 + P / 20; /* a sheath that pulls to one side */
+            if (form(f[REST_CURVATURE]) == 4) /* that it takes little by little */
+                free *= -expm1(-(session + fmax(t, 0)) / f[REST_CURVATURE][7]);
             double sprung = form(f[REST_CURVATURE]) == 2 ? r->c3 : of;
             torque[i] = of * q - sprung * free - r->lever * (left[i] - right[i]);
             if (f[STIFFNESS_HARDENING][0] != 0) torque[i] += hardened(f[STIFFNESS_HARDENING], q, alpha2 / r->c3);
@@ -162,6 +173,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 torque[i] -= f[BASE_VIBRATION][0] * (N - i) / N *
                              sin(TURN * f[BASE_VIBRATION][1] * (session + t) + f[BASE_VIBRATION][2]);
             phi_i[i] = phi;
+            if (pressed[0] > 0 && form(pressed) == 4) phi_i[i] *= 1 + 0.06 * pressed[0] * load;
             if (pressed[0] > 0 && form(pressed) == 3) /* tendons press where they are bent */
                 phi_i[i] += pressed[0] * load * fabs(q) / 0.1;
             if (pressed[0] > 0 && form(pressed) == 2)
@@ -172,6 +184,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 case 0: phi_i[i] *= 1 - f[LAYER_WEAR][0] * x / (1 + x); break;
                 case 1: phi_i[i] *= 1 + f[LAYER_WEAR][0] * expm1(-slid); break;
                 case 3: phi_i[i] *= 1 - f[LAYER_WEAR][0] / (1 + pow(slid + 1e-6, -4)); break; /* a coat wears through */
+                case 4: phi_i[i] *= fmax(0.1, 1 - f[LAYER_WEAR][0] * slid); break;
                 default: phi_i[i] /= 1 + f[LAYER_WEAR][0] * log1p(slid);
                 }
             }
@@ -186,23 +199,29 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 asymmetry[i] += lopsided(f[FRICTION_ASYMMETRY], &s.loading[i], q, s.v[i], calm ? 0 : h);
             extra[i] = calm ? 0.3 : 0;
         }
-        /* In absolute angles: gravity, Coriolis, contact at the tip. */
+        /* In absolute angles: gravity, Coriolis, contact. */
         double tilt = f[BASE_TILT][0], aside = 0, swept = 0, rate[N], sum = 0;
         double uneven = form(f[BASE_TILT]) == 0 ? 0.15 : 0;
         if (form(f[BASE_TILT]) == 2) tilt *= 0.5 + chance(session + f[BASE_TILT][1]); /* mounted anew for each run */
         if (form(f[BASE_TILT]) == 3) /* a mount that sags */
             tilt *= 1 - 0.8 * exp(-(session + fmax(t, 0)) / f[BASE_TILT][1]);
+        if (form(f[BASE_TILT]) == 4) /* a stand that somebody knocks */
+            tilt *= 0.5 + 0.5 * tanh((session + fmax(t, 0) - f[BASE_TILT][1]) / 0.1);
         double tipward = r->alpha1 * cosine;
         tipward *= sinp[N - 1] * cos(tilt) - cosp[N - 1] * sin(tilt) * (1 + uneven * sinp[N - 1]);
+        int touched = form(f[CONTACT]) == 4 ? (int)f[CONTACT][3] : N - 1; /* the link that meets it */
+        double met = 0, meets = 0;
         for (int i = 0; i < N; i++) {
             rate[i] = sum += s.v[i];
             aside += length[i] * sinp[i];
             swept += length[i] * cosp[i] * rate[i];
+            if (i == touched) met = aside, meets = swept;
         }
-        double depth = f[CONTACT][2] * aside - f[CONTACT][1], slip = f[CONTACT][2] * swept, push = 0;
+        double depth = f[CONTACT][2] * met - f[CONTACT][1], slip = f[CONTACT][2] * meets, push = 0;
         if (f[CONTACT][0] > 0 && depth > 0) {
             if (form(f[CONTACT]) == 0) push = f[CONTACT][0] * depth * sqrt(depth) * clamp(1 + 3 * slip, 0, 3);
             if (form(f[CONTACT]) == 1) push = f[CONTACT][0] * depth;
+            if (form(f[CONTACT]) == 4) push = f[CONTACT][0] * fmax(0, depth + 0.003 * slip);
             if (form(f[CONTACT]) == 3) /* foam on something hard */
                 push = f[CONTACT][0] * (0.15 * depth + fmax(0, depth - f[CONTACT][3]));
         }
@@ -217,7 +236,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             s.pendulum += h * s.pendulum_rate;
             tipward += f[HIDDEN_PENDULUM][0] * (psi[N - 1] - s.pendulum);
         }
-        double mass[N][N], across = f[CONTACT][2] * push - blown + pulled;
+        double mass[N][N], across = f[CONTACT][2] * push - blown + pulled, beyond_it = pulled - blown;
         for (int i = 0; i < N; i++) {
             double spun = 0;
             for (int j = 0; j < N; j++) {
@@ -225,12 +244,13 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 mass[i][j] = inertia[i][j] * cosine_ij / half;
                 spun += inertia[i][j] * (sinp[i] * cosp[j] - cosp[i] * sinp[j]) * s.omega_mid[j] * s.omega_mid[j];
             }
-            around[i] = spun + (i == N - 1 ? tipward : 0) + across * length[i] * cosp[i];
+            around[i] = spun + (i == N - 1 ? tipward : 0) + (i <= touched ? across : beyond_it) * length[i] * cosp[i];
             if (payload > 0) {
                 around[i] += payload * 9.81 * arm[i] * sinp[i];
                 if (i == N - 1) around[i] += payload * 9.81 * f[TIP_PAYLOAD][2] * cosp[i];
             }
-            if (spread > 0) {
+            if (lump[i] > 0) around[i] += lump[i] * 9.81 * length[i] * sinp[i];
+            else if (spread > 0 && form(f[GRAVITY_DISTRIBUTION]) != 4) {
                 double hose = 2 * sinp[i] * sinp[i] * (form(f[GRAVITY_DISTRIBUTION]) == 3); /* lifted off the floor */
                 around[i] += spread * weight[i] * f[GRAVITY_DISTRIBUTION][1 + i] * sinp[i] * (1 + hose);
             }
@@ -259,7 +279,8 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                     d_z[i] = half * (1 - slope * mid_z[i]) / scale;
                     tau[i] = torque[i] + phi_i[i] * ((1 + memory) * mid_z[i] - memory * s.z[i] + r->sigma2 * v);
                     d_tau[i] = phi_i[i] * ((1 + memory) * d_z[i] + r->sigma2);
-                    if (f[VISCOUS_DAMPING][0] > 0) tau[i] += damped(f[VISCOUS_DAMPING], i, s.q[i], v, &d_tau[i]);
+                    if (f[VISCOUS_DAMPING][0] > 0)
+                        tau[i] += damped(f[VISCOUS_DAMPING], i, s.q[i], v, alpha2 / r->c3, &d_tau[i]);
                 }
                 relative += mid[i] - s.v[i];
                 gain[i] = relative;
@@ -290,6 +311,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             s.z[i] = calm ? 0 : 2 * mid_z[i] - s.z[i];
             s.q[i] += half * s.v[i];
             double pressing = form(f[LAYER_WEAR]) == 2 ? fresh / (r->c4 + r->c5 * sqrt(20)) : 1;
+            if (form(f[LAYER_WEAR]) == 4) pressing = P / 20;
             if (!calm) c->slip[i] += h * fabs(mid[i]) * pressing;
             if (!(fabs(s.q[i]) < 3)) return 1;
         }

@@ -55,6 +55,7 @@ static double given(const double *f, double session, double t, int i) {
     double late = f[0];
     if (late <= 0) return t;
     if (form(f) == 3) return t - late * f[1 + i] * (0.6 + fmin(t / 15, 1)); /* buffers of their own, slowly filling */
+    if (form(f) == 4) return 2 * late * (floor(t / (2 * late) - f[1]) + f[1]); /* read at a slow beat, then held */
     if (form(f) == 0) late *= 1 + 0.25 * sin(TURN * f[1] * t + f[2]);
     if (form(f) < 2) return t - late;
     double every = 0.7 * late, k = floor(t / every); /* packets, on their way for different times */
@@ -62,11 +63,15 @@ static double given(const double *f, double session, double t, int i) {
     return k * every;
 }
 
-static double saturated(const double *f, double *hot, double x, double other, double h) {
+static double saturated(const double *f, double *hot, double x, double other, double rate, double h) {
     double top = f[1] * (1 - f[0]);
     if (form(f) == 3) return x / pow(1 + pow((x + other) / (1.6 * top), 8), 1 / 8.0); /* one supply for both drives */
     if (form(f) == 0) return x > top ? top + 0.04 * (x - top) : x;
     if (form(f) == 1) return x / pow(1 + pow(x / top, 6), 1 / 6.0);
+    if (form(f) == 4) { /* the faster it winds, the less the motor can pull; here its speed is kept */
+        *hot += (rate - *hot) * -expm1(-h / 0.02);
+        return fmin(x, f[1] * fmax(0.05, 1 - f[0] * (1 + fmax(*hot, 0) / f[2])));
+    }
     *hot += h * ((x > top) - *hot) / f[2];
     return fmin(x, top + (f[1] - top) * (1 - *hot));
 }
@@ -76,6 +81,7 @@ static double past_deadband(const double *f, double *breakaway, double x, int i)
     if (form(f) == 1) return x > d ? x - d : 0;
     if (form(f) == 2) return hypot(x, d * f[1 + i]) - d * f[1 + i];
     if (form(f) == 3) return x > d ? x - d * exp((d - x) / (f[1] * d)) : 0; /* once it turns it rubs less */
+    if (form(f) == 4) return x > d ? x : 0; /* all or nothing */
     if (x > d) *breakaway = 1;
     if (x < 0.75 * d) *breakaway = 0;
     return *breakaway ? x - 0.75 * d : 0;
@@ -88,6 +94,8 @@ static double lagged(const double *f, State *s, double x, int i, double h) {
         s->first[i] += (x - s->first[i]) * -expm1(-h / quick);
         return s->tension[i] + h * clamp((s->first[i] - s->tension[i]) / slow, -400, 400);
     }
+    if (form(f) == 4) /* so many newtons a second and no more */
+        return s->tension[i] + clamp(x - s->tension[i], -h * f[1] / slow, h * f[1] / slow);
     if (form(f) == 3) /* a slack cable is soft, and a drive lets go more slowly than it winds */
         slow *= (0.3 + 1.4 * f[2] / (f[2] + s->tension[i])) * (x < s->tension[i] ? f[1] : 1);
     if (form(f) != 2) return s->tension[i] + (x - s->tension[i]) * -expm1(-h / slow);
@@ -99,21 +107,23 @@ static double lagged(const double *f, State *s, double x, int i, double h) {
 /* From commands to what leaves the spools: s->tension [N]. */
 static void actuate(const double f[][WIDTH], State *s, const double *u, int count, double t, double period, double h,
                     double lever) {
-    double bend = 0;
-    for (int i = 0; i < N; i++) bend += s->q[i];
+    double bend = 0, rate = 0;
+    for (int i = 0; i < N; i++) bend += s->q[i], rate += lever * s->v[i];
     for (int i = 0; i < 2; i++) {
         double at = given(f[ACTUATOR_DELAY], s->session, t, i), other = held(u + 1 - i, count, 2, at, period);
         double x = held(u + i, count, 2, at, period), wound = (i ? -1 : 1) * lever * bend;
         if (f[DROPOUT][0] > 0) /* a loose plug: three spells a run */
             for (int k = 1; k < 4; k++)
                 if (t > f[DROPOUT][k] && t < f[DROPOUT][k] + f[DROPOUT][0]) x *= 0.3;
-        if (f[ACTUATOR_SATURATION][0] > 0) x = saturated(f[ACTUATOR_SATURATION], &s->hot[i], x, other, h);
+        if (f[ACTUATOR_SATURATION][0] > 0)
+            x = saturated(f[ACTUATOR_SATURATION], &s->hot[i], x, other, i ? -rate : rate, h);
         if (f[ACTUATOR_DEADBAND][0] > 0) x = past_deadband(f[ACTUATOR_DEADBAND], &s->breakaway[i], x, i);
         double e = f[ACTUATOR_GAIN][0] * f[ACTUATOR_GAIN][1 + i];
         switch (form(f[ACTUATOR_GAIN])) {
         case 0: x *= 1 + e * (1 - 0.1 * tanh(x / 15)); break;
         case 1: x *= 1 + e; break;
         case 3: x *= 1 + e * x / (x + f[ACTUATOR_GAIN][3]); break; /* the iron saturates */
+        case 4: x *= 1 + e * -expm1(-t / f[ACTUATOR_GAIN][3]); break; /* the motor warms up in each run */
         default: x /= fmax(0.3, 1 + f[ACTUATOR_GAIN][0] * wound / 0.02); /* the spool grows as it winds */
         }
         if (f[ACTUATOR_LAG][0] > 0) x = s->tension[i] = lagged(f[ACTUATOR_LAG], s, x, i, h);
@@ -127,6 +137,8 @@ static void actuate(const double f[][WIDTH], State *s, const double *u, int coun
                 x += p[0] * wave;
             else if (form(p) == 3) /* teeth that lean, on a wheel off its centre */
                 x += p[0] * sin(teeth * angle + p[4 + i] + 0.8 * wave) * (1 + 0.7 * sin(angle + p[6 + i]));
+            else if (form(p) == 4) /* a gear of two stages */
+                x += p[0] * (0.8 * wave + 0.6 * sin(p[8] * teeth * angle + p[6 + i]));
             else
                 x *= 1 + p[0] / 10 * (1.5 * (fabs(wave) - 0.64) + 0.5 * sin(angle + p[6 + i]));
         }
@@ -134,10 +146,17 @@ static void actuate(const double f[][WIDTH], State *s, const double *u, int coun
     }
 }
 
-/* What reaches the first guide: a pair of plays side by side, one play, cable that a released spool has paid out, or
-   cable that the body has let go by bending this way faster than the spool winds; rate: of that bending [m/s]. */
+/* What reaches the first guide: a pair of plays side by side, one play, cable that a released spool has paid out,
+   cable that the body has let go by bending this way faster than the spool winds, or a play with round corners; rate:
+   of that bending [m/s]. */
 static double past_slack(const double *f, double state[2], double x, double rate, double h) {
     if (f[0] <= 0) return x;
+    if (form(f) == 4) {
+        double by = x - state[1], near = state[0] + f[1] * by;
+        state[1] = x;
+        state[0] = near + (x - near) * fmin(1, fabs(by) * (1 - f[1]) / f[0]);
+        return state[0] > 0 ? state[0] : 0;
+    }
     if (form(f) == 3) {
         double freed = rate > 0 ? rate / (1 + x * x) : rate, wind = 1e-3 * f[1] * x / (0.8 + x);
         state[0] = clamp(state[0] + h * (freed - wind), 0, 1e-3 * f[0]);
@@ -162,6 +181,7 @@ static double filled(const double *f, State *s, double inside, double h) {
     double drop = inside - s->sheath, time = f[0] * (drop > 0 ? 1 : f[1]);
     if (form(f) == 0) /* through an orifice: as the root of the drop */
         return s->sheath + h * 5 * drop / sqrt(fabs(drop) * 5 + 4) / time;
+    if (form(f) == 4) return s->sheath + clamp(drop, -20 * h / time, 20 * h / time); /* a pump of one speed */
     if (form(f) == 3) time *= 0.15 + s->sheath / 15; /* layers pressed together close their own channels */
     if (form(f) != 2) return s->sheath + drop * -expm1(-h / time);
     s->feed += (inside - s->feed) * -expm1(-h / (0.5 * time));
@@ -171,7 +191,7 @@ static double filled(const double *f, State *s, double inside, double h) {
 }
 
 /* What a leak leaves of the vacuum. */
-static double leaked(const double *f, State *s, double p, double h) {
+static double leaked(const double *f, State *s, double p, double t, double h) {
     if (form(f) == 0) {
         s->seal += h * (p / 40 * (1 - s->seal) / f[1] - s->seal / f[2] * (p < 1));
         double a = f[0] * s->seal, root = 0.5 * (sqrt(a * a + 4 * p) - a);
@@ -181,6 +201,7 @@ static double leaked(const double *f, State *s, double p, double h) {
         s->seal += h * ((p > 1) - s->seal) / (p > 1 ? f[1] : 0.5);
         return p * (1 - f[0] * s->seal);
     }
+    if (form(f) == 4) return p * (1 + f[0] * expm1(-(s->session + t) / f[1])); /* a tear that widens */
     double bend = 0, open; /* folds open where it is bent, or a lip while it moves */
     for (int i = 0; i < N; i++) bend += form(f) == 3 ? fabs(s->v[i]) / N / 0.3 : s->q[i] * s->q[i] / N / 0.0144;
     open = bend / (1 + bend);
@@ -196,11 +217,12 @@ static void pressurise(const double f[][WIDTH], State *s, double commanded, doub
     case 0: inside += b * (1 + 0.2 * tanh((commanded - 20) / 12)); break;
     case 1: inside += b; break;
     case 3: inside += b * (0.2 + 1.6 * chance(s->session + f[PRESSURE_BIAS][1])); break; /* zeroed anew for each run */
+    case 4: inside += b * (s->session + t) / 600; break; /* it drifts */
     default: inside += b * (1 - exp(-commanded / 4));
     }
     if (f[PUMP_PULSES][0] > 0) /* that a damped gauge does not show */
         inside += f[PUMP_PULSES][0] * sin(TURN * f[PUMP_PULSES][1] * (s->session + t)) * commanded / (commanded + 3);
     if (f[PRESSURE_LAG][0] > 0) inside = s->sheath = filled(f[PRESSURE_LAG], s, inside, h);
-    if (f[PRESSURE_LEAK][0] > 0) inside = leaked(f[PRESSURE_LEAK], s, inside > 0 ? inside : 0, h);
+    if (f[PRESSURE_LEAK][0] > 0) inside = leaked(f[PRESSURE_LEAK], s, inside > 0 ? inside : 0, t, h);
     s->sheath = inside > 0 ? inside : 0;
 }

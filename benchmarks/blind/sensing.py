@@ -25,7 +25,7 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
     t = np.arange(len(q)) * PERIOD_S
     at = t[::SHAPE_EVERY]
     if (f := causes.get("sensor_filter")) and f[0] > 0:
-        q = (_averaged, _smoothed, _exposed, _calmed)[form(f)](q, f[0])
+        q = (_averaged, _smoothed, _exposed, _calmed, _damped)[form(f)](q, f[0])
     if f := causes.get("sensor_delay"):
         late = f[0] * np.ones(len(at))
         if form(f) == 0:
@@ -35,6 +35,8 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
         elif form(f) == 3:  # a computer that is busy by spells
             spells = np.random.default_rng([int(f[1]), run]).uniform(0.3, 1.7, int(at[-1]) + 1)
             late *= spells[at.astype(int)]
+        elif form(f) == 4:  # no two frames take the same time
+            late *= np.random.default_rng([int(f[1]), run]).gamma(4, 0.25, len(at))
         y = np.stack([np.interp(at - late, t, x) for x in q.T], axis=1)
     else:
         y = q[::SHAPE_EVERY].copy()
@@ -44,12 +46,18 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
         elif form(f) == 3:  # a lens that stretches what is off the middle
             aside = np.cumsum(y, axis=1) if columns > 1 else 3.5 * y
             y *= 1 + f[0] * (aside / 0.5) ** 2
+        elif form(f) == 4:  # a picture that is stretched sideways
+            aside = np.cumsum(y, axis=1) if columns > 1 else 6 * y
+            more = np.arctan2(f[0] * np.sin(aside) * np.cos(aside), 1 + f[0] * np.sin(aside) ** 2)
+            y += np.diff(more, axis=1, prepend=0) if columns > 1 else more / 6
         else:
             y += f[0] * y * (1 - 0.1 * (y / 0.6) ** 2 * (form(f) == 0))
     if f := causes.get("sensor_bias"):
         offsets = np.array(f[1 : 1 + columns]) if columns > 1 else np.ones(1)
         if form(f) == 3:  # markers knocked in the middle of a run
             y[at + 1e3 * (run - f[7]) >= f[8]] += f[0] * offsets
+        elif form(f) == 4:  # zeroed by hand before each run
+            y += f[0] * offsets * np.random.default_rng([int(f[7]), run]).normal()
         else:
             y += f[0] * offsets * (np.cos(y) if form(f) == 0 else 1)
     if f := causes.get("edge_of_view"):  # the ends of the picture, where markers hardly get on
@@ -99,6 +107,13 @@ def _calmed(q: Array, seconds: float) -> Array:
         rate += 0.1 * ((q[k] - q[k - 1]) / PERIOD_S - rate)
         out[k] = out[k - 1] + (q[k] - out[k - 1]) * -np.expm1(-PERIOD_S * (1 + np.abs(rate) / 0.2) / seconds)
     return out
+
+
+def _damped(q: Array, seconds: float) -> Array:
+    """Butterworth's filter of second order, from rest."""
+    x = np.arange(round(12 * seconds / PERIOD_S) + 2) * PERIOD_S / (2**0.5 * seconds)
+    weight = np.diff(1 - np.exp(-x) * (np.cos(x) + np.sin(x)))
+    return _weighted(q, weight / weight.sum())
 
 
 def _weighted(q: Array, weight: Array) -> Array:

@@ -10,6 +10,7 @@ static double stiffening(const double *f, double P) {
     case 1: return P / (1 + knee);
     case 2: return -20 / f[0] * expm1(-knee);
     case 3: x = P * P / (f[1] * f[1]); return (1 - f[0]) * P + f[0] * 25 * x / (1 + x);
+    case 5: return 20 * pow(P / 20, 1 - f[0]); /* as a root */
     default: /* the layers lie flat, at a knee */
         return (1 - f[0]) * P + f[0] * 17.5 / f[1] * (P - hypot(P - f[1], 2) + hypot(f[1], 2));
     }
@@ -22,6 +23,7 @@ static double rubbing(const Robot *r, const double *f, double P) {
     double other = form(f) == 1 ? (1 + f[1] / 20) * P / (P + f[1]) : expm1(-P / f[1]) / expm1(-20 / f[1]);
     double met = P * P * P / (f[1] * f[1] * f[1]), usually = 8000 / (f[1] * f[1] * f[1]);
     if (form(f) == 3) other = (1 + usually) / usually * met / (1 + met); /* layers must meet first */
+    if (form(f) == 4) other = fmin(P, f[1]) / fmin(20, f[1]); /* in proportion, up to a limit */
     return r->c4 + r->c5 * ((1 - f[0]) * usual + f[0] * sqrt(20) * other);
 }
 
@@ -40,6 +42,11 @@ static void warmed(const double *f, double warm, double *phi, double *alpha2, do
         *phi *= 1 + f[0] * x * exp(1 - x), *alpha2 *= share, *added *= share;
         return;
     }
+    if (form(f) == 4) { /* as polymers do above their glass transition */
+        x = warm / (f[1] + warm), share = exp(-0.3 * f[0] * x);
+        *phi *= exp(-f[0] * x), *alpha2 *= share, *added *= share;
+        return;
+    }
     share = form(f) == 0 ? exp(-f[0] * x * sqrt(1 + x)) : fmax(0.1, 1 + f[2] * f[0] * x);
     if (f[1] < 0.5) *phi *= share; else *alpha2 *= share, *added *= share;
 }
@@ -55,6 +62,11 @@ static double remembered(const double *f, double play[PLAYS], double q, double d
             sum += share[k] * (q - play[k]) / 0.03;
         }
         return sum;
+    }
+    if (form(f) == 4) { /* Dahl's model, with a square */
+        steep = 1 - sign(dq) * *z;
+        *z = clamp(*z + dq / f[1] * steep * steep, -1, 1);
+        return *z * (0.35 + P / 25);
     }
     if (form(f) == 0) {
         for (int k = 0; k < PLAYS; k++) {
@@ -84,16 +96,25 @@ static double crept(const double *f, double branch[4], double q, double h) {
         branch[0] += h * over / (f[1] * (over * q > 0 ? 1 : f[2]));
         return q - branch[0];
     }
+    if (form(f) == 4) { /* what relaxes is a spring that hardens */
+        over = f[2] * sinh(clamp(q / f[2], -4, 4)) - branch[0];
+        branch[0] += over * -expm1(-h / f[1]);
+        return over;
+    }
     branch[0] += h / f[1] * (form(f) == 1 ? over : 0.04 * sinh(clamp(over / 0.04, -7, 7)));
     return q - branch[0];
 }
 
-/* Torque of joint i's damping, and its slope added. */
-static double damped(const double *f, int i, double q, double v, double *slope) {
+/* Torque of joint i's damping, and its slope added; stiff: its stiffness over that without vacuum. */
+static double damped(const double *f, int i, double q, double v, double stiff, double *slope) {
     double v0 = 0.25, of = f[0] * (0.4 + 0.24 * i);
     if (form(f) == 0) {
         *slope += f[0] / sqrt(1 + v * v / (v0 * v0));
         return f[0] * v0 * asinh(v / v0);
+    }
+    if (form(f) == 4) { /* in proportion to the stiffness */
+        *slope += f[0] * stiff;
+        return f[0] * stiff * v;
     }
     if (form(f) == 3) { /* grease that is squeezed where it is bent */
         of = f[0] * (0.2 + fmin(q * q / 0.02, 4));
@@ -111,16 +132,20 @@ static double hardened(const double *f, double q, double share) {
         double over = fabs(q) - f[1];
         return 0.5 * f[0] * sign(q) * (fabs(q) + hypot(over, 0.02) - hypot(f[1], 0.02));
     }
+    if (form(f) == 4) { /* chains that can stretch so far */
+        double x = q * q / (f[1] * f[1]);
+        return f[0] * q * x / (1 - fmin(x, 0.8));
+    }
     double x = clamp(q / f[1], -6, 6);
     return f[0] * share * f[1] * (sinh(x) - x);
 }
 
-/* By how much loading rubs more than unloading: shares of the usual friction. */
+/* By how much loading rubs more than unloading, or one way more than the other: shares of the usual friction. */
 static double lopsided(const double *f, double *loading, double q, double v, double h) {
     if (form(f) == 0) return f[0] * tanh(q / 0.02) * tanh(v / 0.01);
     if (form(f) == 1) return f[0] * tanh(q / 0.002) * tanh(v / 0.002);
-    *loading += clamp(h * fabs(v) / 0.02, 0, 1) * (sign(q * v) - *loading);
-    if (form(f) == 2) return f[0] * *loading;
+    *loading += clamp(h * fabs(v) / 0.02, 0, 1) * (sign(form(f) == 4 ? v : q * v) - *loading);
+    if (form(f) == 2 || form(f) == 4) return f[0] * *loading;
     return 1.4 * f[0] * *loading * q * q / (q * q + 0.0009); /* the more, the more it is bent */
 }
 
@@ -130,6 +155,7 @@ static double rubbed(const double *f, double *guide, double q, double rate, doub
     *guide = (*guide + h * rate / soft) / (1 + h * fabs(rate) / soft);
     if (form(f) == 0) return f[0] * wrap * (*guide + 0.8 * rate);
     if (form(f) == 3) return *guide;
+    if (form(f) == 4) return f[0] * *guide; /* in a bent sheath before the robot */
     return f[0] * wrap * *guide * (form(f) == 1 ? 1 : 1 + 0.8 * exp(-rate * rate / 1e-5));
 }
 
