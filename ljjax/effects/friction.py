@@ -10,24 +10,26 @@ from ljjax.effects.shapes import power, towards_base, turned
 
 LOAD_N = 10.0
 """Load at which a friction is the same by any power of it."""
-TURN_RAD, BENT_RAD = 0.004, 0.015
-"""Rotation within which a joint's direction turns round, and bend from which it counts as bent [rad]."""
+TURN_RAD = 0.004
+"""Rotation within which a joint's direction turns round [rad]."""
 
 
 class FrictionAsymmetry(Effect):
     """Loading and unloading rub differently. Where a joint bends further the bristles slip at 1 + a of their bend, and
-    their whole torque is 1 + b of what it would be; where it straightens, at 1 − a and 1 − b."""
+    their whole torque is 1 + b of what it would be; where it straightens, at 1 − a and 1 − b. Both a and b are times
+    |q|/√(q² + w²), so that for a large w they grow with the bend."""
 
     id, block, axes = "friction_asymmetry", "friction", ("direction", "angle")
     share: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.15)
     whole: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.15)
+    bent_rad: jax.Array = shape("rad", 0.015, 0.002, 1.0, (0.08, 0.015))
 
     def start(self, now):
         return tuple(0.0 * q for q in now.q)
 
     def _further(self, memory, now):
         """From 1 where a joint bends further to −1 where it straightens."""
-        return [way * q / jnp.sqrt(q * q + BENT_RAD**2) for way, q in zip(memory, now.q, strict=True)]
+        return [way * q / jnp.sqrt(q * q + self.bent_rad * self.bent_rad) for way, q in zip(memory, now.q, strict=True)]
 
     def slip(self, memory, slip, now):
         return tuple(x * (1 + self.share * w) for x, w in zip(slip, self._further(memory, now), strict=True))

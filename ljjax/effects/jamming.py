@@ -119,9 +119,10 @@ WIDER = 4.0
 
 
 class LayerHysteresis(Effect):
-    """Interlayer slip with a memory longer than the bristles': elements that stick over x₀ and over 4 x₀ before they
-    slide (Jenkins' elements, a sum of plays), each with a torque of its own, (a + b P) (1 + g x), x from 1 at the base
-    to −1 at the tip; and friction that grows with the bend, h φ |q| (1 + g x), turning round within x₀ (Dahl's)."""
+    """Interlayer slip with a memory longer than the bristles': springs that stretch by x₀ and by 4 x₀ before they slide
+    (Jenkins' elements, a sum of plays), each with a torque of its own, (a + b P) (1 + g x), x from 1 at the base to −1
+    at the tip; under pressure they may stretch further, x₀ (1 + w P), as they do where the vacuum makes them slide
+    later but no stiffer. And friction that grows with the bend, h φ |q| (1 + g x), turning round within x₀ (Dahl's)."""
 
     id, block, axes = "layer_hysteresis", "jamming", ("direction", "angle", "pressure")
     torque_nm: jax.Array = parameter("N·m", 0.0, 0.0, 5.0, 0.01)
@@ -130,45 +131,58 @@ class LayerHysteresis(Effect):
     wider_per_kpa: jax.Array = parameter("N·m/kPa", 0.0, 0.0, 0.5, 0.001)
     with_bend: jax.Array = parameter("1/rad", 0.0, 0.0, 1.0, 0.005)
     width_rad: jax.Array = shape("rad", 0.03, 0.003, 1.0, (0.01, 0.03, 0.09))
+    stretch_per_kpa: jax.Array = shape("1/kPa", 0.0, 0.0, 1.0, (0.1, 0.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
-    def _stuck(self, memory, moved):
-        """How far each element of each joint is strained, from −1 to 1, after the joints moved so far."""
+    def _widths(self, vacuum):
+        near = self.width_rad * (1 + self.stretch_per_kpa * vacuum)
+        return near, WIDER * near
+
+    def _stuck(self, memory, moved, vacuum):
+        """How far each element of each joint is stretched [rad] after the joints moved so far."""
         return tuple(
-            tuple(jnp.clip(w + x / width, -1.0, 1.0) for w, x in zip(own, moved, strict=True))
-            for own, width in zip(memory, (self.width_rad, WIDER * self.width_rad), strict=True)
+            tuple(jnp.clip(e + x, -width, width) for e, x in zip(own, moved, strict=True))
+            for own, width in zip(memory, self._widths(vacuum), strict=True)
         )
 
     def start(self, now):
         return (tuple(0.0 * q for q in now.q),) * 3
 
     def load(self, memory, load, now):
-        near, wide = self._stuck(memory[:2], [b - a for a, b in zip(now.q, now.middle, strict=True)])
+        near, wide = self._stuck(memory[:2], [b - a for a, b in zip(now.q, now.middle, strict=True)], now.vacuum)
         most = self.torque_nm + self.per_kpa * now.vacuum, self.wider_nm + self.wider_per_kpa * now.vacuum
+        stiff = [m / width for m, width in zip(most, self._widths(now.vacuum), strict=True)]
         out = []
         for i, share in enumerate(towards_base(self.to_base, len(load))):
             rubs = self.with_bend * now.phi[i] * jnp.abs(now.middle[i]) * memory[2][i]
-            out.append(load[i] - share * (most[0] * near[i] + most[1] * wide[i] + rubs))
+            out.append(load[i] - share * (stiff[0] * near[i] + stiff[1] * wide[i] + rubs))
         return tuple(out)
 
     def remember(self, memory, now, after):
         moved = [b - a for a, b in zip(now.q, after.q, strict=True)]
         ways = tuple(turned(way, x, self.width_rad) for way, x in zip(memory[2], moved, strict=True))
-        return *self._stuck(memory[:2], moved), ways
+        return *self._stuck(memory[:2], moved, now.vacuum), ways
+
+
+NO_WAY = 1e-6
+"""A way that is none, as a share of the scale of wear."""
 
 
 class LayerWear(Effect):
-    """φ falls with the accumulated slip S: φ (1 − w (1 − exp(−S/S₀))), S the way gone by the mean joint [rad]."""
+    """φ falls with the accumulated slip S: φ (1 − w (1 − exp(−(S/S₀)ᵏ))), S the way gone by the mean joint [rad]; k > 1
+    where a coat must first wear through, k < 1 where most is lost soon and some goes on being lost."""
 
     id, block, axes = "layer_wear", "jamming", ("run", "time", "direction")
     loss: jax.Array = parameter("1", 0.0, -0.5, 0.95, 0.15)
     scale_rad: jax.Array = shape("rad", 10.0, 0.1, 1e3, (1.5, 6.0, 25.0))
+    order: jax.Array = shape("1", 1.0, 0.4, 8.0, (3.0, 1.0))
 
     def start(self, now):
         return (now.worn,)
 
     def phi(self, memory, phi, now):
-        left = 1 + self.loss * jnp.expm1(-memory[0] / self.scale_rad)
+        gone = jnp.exp(self.order * jnp.log(memory[0] / self.scale_rad + NO_WAY))
+        left = 1 + self.loss * jnp.expm1(-gone)
         return tuple(p * left for p in phi)
 
     def remember(self, memory, now, after):

@@ -84,6 +84,37 @@ def test_a_leak_may_be_at_folds_that_open_with_the_bend():
     assert held(0.2, 0.5) == pytest.approx(20.0 * (1 - 0.2 * (1 - np.exp(-1))), rel=1e-3)
 
 
+def test_a_coat_may_wear_through():
+    """k = 8: next to nothing is lost over half of S₀ of slip, all over twice as much as S₀; k = 1 is exponential."""
+    kind: Any = REGISTRY["layer_wear"]
+
+    def left(slip: float, order: float) -> float:
+        wear, now = kind(loss=0.4, scale_rad=5.0, order=order), cast(Any, SimpleNamespace())
+        return float(wear.phi((jnp.asarray(slip),), (jnp.asarray(1.0),), now)[0])
+
+    np.testing.assert_allclose([left(s, 8.0) for s in (0.0, 2.5, 10.0)], [1.0, 1 - 0.4 * 0.5**8, 0.6], rtol=1e-4)
+    np.testing.assert_allclose([left(s, 1.0) for s in (0.0, 5.0)], [1.0, 1 - 0.4 * (1 - np.exp(-1))], rtol=1e-5)
+
+
+def test_springs_between_layers_may_slide_later_under_pressure_but_be_no_stiffer():
+    """Torque and stretch both grow as 1 + P/10 kPa: the same slope to begin with, three times the torque at 20 kPa."""
+    kind: Any = REGISTRY["layer_hysteresis"]
+    layers = kind(torque_nm=0.1, per_kpa=0.01, width_rad=0.02, stretch_per_kpa=0.1)
+
+    def felt(vacuum: float, bends: np.ndarray) -> np.ndarray:
+        memory, out = None, []
+        for q, after in zip(bends[:-1], bends[1:], strict=True):
+            at: Any = SimpleNamespace(q=(jnp.asarray(q),), middle=(jnp.asarray(q),), phi=(1.0,), vacuum=vacuum)
+            memory = layers.start(at) if memory is None else memory
+            out.append(float(layers.load(memory, (jnp.zeros(()),), at)[0]))
+            memory = layers.remember(memory, at, SimpleNamespace(q=(jnp.asarray(after),)))
+        return np.array(out)
+
+    loose, pressed = (felt(p, np.linspace(0.0, 0.1, 101)) for p in (0.0, 20.0))
+    np.testing.assert_allclose(pressed[:20], loose[:20], rtol=1e-4)
+    np.testing.assert_allclose([loose[-1], pressed[-1]], [-0.1, -0.3], rtol=1e-4)
+
+
 def rough_contact(rough: float) -> Any:
     contact: Any = REGISTRY["contact"]
     return contact(angle_rad=0.02, obstacle=300.0, rough=rough)
@@ -358,3 +389,14 @@ def test_what_turns_may_rub_less_the_more_it_is_drawn():
     drawn: Any = (jnp.asarray(1.0), jnp.asarray(10.0))
     (below, above), _ = band.actuate((), drawn, now)
     np.testing.assert_allclose((below, above), (0.0, 10 - 2 * np.exp(-2.0)), atol=2e-3)
+
+
+def test_friction_differs_more_the_more_a_joint_is_bent():
+    """Bending further and straightening, at once for a small w, in proportion for a large one."""
+    kind: Any = REGISTRY["friction_asymmetry"]
+    bends = tuple(map(jnp.asarray, (0.05, 0.1, 0.1)))
+    ways = tuple(map(jnp.asarray, (1.0, 1.0, -1.0)))
+    at, phi = cast(Any, SimpleNamespace(q=bends)), (jnp.asarray(2.0),) * 3
+    small, large = (kind(whole=0.5, bent_rad=w).phi(ways, phi, at) for w in (0.002, 1.0))
+    np.testing.assert_allclose(small, (3.0, 3.0, 1.0), rtol=1e-3)
+    np.testing.assert_allclose(np.subtract(large, 2.0), (0.05, 0.1, -0.1), rtol=1e-2)
