@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from ljjax.effects import BLOCKS, REGISTRY
 from ljjax.effects.varying import WAYS, varying
 from ljjax.fit.run import prepared
 from ljjax.fit.shooting import together
-from ljjax.gap.candidates import universal
+from ljjax.gap.candidates import pilots, universal
 from ljjax.gap.data import in_order, span
 from ljjax.gap.screening import Screen, gather, screen
 from ljjax.gap.search import QUICK
@@ -125,7 +126,7 @@ def screened() -> Screen:
     kinds = list(REGISTRY.values())
     c = case.problem.coordinates
     like, of = universal(c.like, kinds), {**span(motions), **CLOCK}
-    asked, said, forms = screen(like, c.names, kinds, motions, of, c.pressure, QUICK)
+    asked, said, forms = screen(like, c.names, kinds, motions, c.pressure, QUICK, partial(pilots, span=of))
     found = together(asked)
     return gather([f for f in found if not isinstance(f, Exception)], said, forms)
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ljjax.effect import Effect
+from ljjax.effects.varying import WAYS
 from ljjax.fit.coordinates import without_effects
 from ljjax.model import Model
 
@@ -58,6 +59,11 @@ def either_side(trial: Trial, kinds: Sequence[type[Effect]]) -> list[Trial]:
         if all(start != t.start for t in out):
             out.append(Trial(trial.ids, start))
     return out
+
+
+def still(effect: str) -> dict[str, float]:
+    """By path how an effect that may vary does, where it does not."""
+    return {f"effects.{effect}.{way}": 0.0 for way in WAYS}
 
 
 def universal(model: Model, kinds: Sequence[type[Effect]]) -> Model:

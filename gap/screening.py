@@ -7,7 +7,7 @@ between two candidates' traces, and the distribution of the largest gain where t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from ljjax.fit.dynamic import Search
 from ljjax.fit.problem import Estimate, Problem, Round
 from ljjax.fit.shooting import Asking
 from ljjax.fit.windows import Motion, cut
-from ljjax.gap.candidates import path, pilots, sizes
+from ljjax.gap.candidates import path, sizes
 from ljjax.model import Model, limits, replace
 
 ROOM = 24
@@ -129,10 +129,9 @@ def screen(
     names: Sequence[str],
     kinds: Sequence[type[Effect]],
     motions: Sequence[Motion],
-    span: Mapping[str, float],
     pressure: float,
     how: Round,
-    waves: Sequence[float] = (),
+    forms_of: Callable[[type[Effect]], list[dict[str, float]]],
 ) -> tuple[list[Asking[Search]], list[list[Column]], dict[tuple[str, int], dict[str, float]]]:
     """The searches to run side by side, and what each one's last columns are: `gather` makes a Screen of them."""
     free = {n.split(".")[1] for n in names if n.startswith("effects.")}
@@ -144,7 +143,7 @@ def screen(
         if kind.id in free:
             continue
         about = kind.fields()
-        for form, values in enumerate(pilots(kind, span, waves)):
+        for form, values in enumerate(forms_of(kind)):
             forms[kind.id, form] = values
             columns = []
             for name in sizes(kind, model.n, logged):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import jax
 import numpy as np
@@ -18,7 +18,7 @@ from ljjax.fit.problem import Estimate, Problem, Round
 from ljjax.fit.shooting import TILE, Answer, Asking, Request, Starts, together
 from ljjax.fit.windows import Motion, Windows, cut
 from ljjax.gap import screening
-from ljjax.gap.candidates import Trial, path, universal
+from ljjax.gap.candidates import Trial, path, pilots, still, universal
 from ljjax.gap.channels import Fitted
 from ljjax.gap.screening import Screen
 from ljjax.model import Model, limits, replace
@@ -84,12 +84,12 @@ class Refit:
     @cached_property
     def used(self) -> dict[str, int]:
         """How many parameters of each effect are told from their null, or usual value: what it needs, whatever was
-        free. One at least."""
+        free; all ways in which it varies count for one. One at least."""
         out = {}
         for e in self.effects:
             nulls = {n: float(about["null"]) for n, about in e.fields().items()}
-            off = [abs(x - nulls[n]) > TOLD * sd for n, (x, sd) in self.values(e.id).items()]
-            out[e.id] = max(sum(off), 1)
+            off = {n for n, (x, sd) in self.values(e.id).items() if abs(x - nulls[n]) > TOLD * sd}
+            out[e.id] = max(len(off - WAYS.keys()) + bool(off & WAYS.keys()), 1)
         return out
 
     def _spread(self, effect: str) -> tuple[list[str], np.ndarray]:
@@ -211,7 +211,7 @@ class Study:
 
     def varied(self, refits: Sequence[Refit], stage: str) -> list[Refit]:
         """Refits of effects that are let vary (`ljjax.effects.varying`) in this study, from where they were."""
-        trials = [Trial(r.ids, {**r.free_effects, **{f"effects.{r.ids[0]}.{n}": 0.0 for n in WAYS}}) for r in refits]
+        trials = [Trial(r.ids, {**still(r.ids[0]), **r.free_effects}) for r in refits]
         begun = [self._begun(r.model, t) for r, t in zip(refits, trials, strict=True)]
         return self._refit(begun, trials, {}, WHOLE, stage)
 
@@ -259,14 +259,14 @@ class Study:
         assert self.unit is not None
         return float(count * np.sum((self.noise / self.unit) ** 2))
 
-    def screen(self, from_: Refit) -> Screen:
-        """Every effect that is not in a refit, on top of it."""
+    def screen(self, from_: Refit, forms_of: Callable[[type[Effect]], list[dict[str, float]]] | None = None) -> Screen:
+        """Every effect that is not in a refit, on top of it, in all `pilots` of its form or in those asked for."""
         chosen = [f"effects.{i}.{n}" for i in from_.ids for n in self._free(i, from_)]
-        names, waves = [*self.names, *chosen], screening.waves(from_.estimate)
-        span = {**self.span, **screening.clock(from_.estimate)}
-        asked, said, forms = screening.screen(
-            self._whole(from_.model), names, self.kinds, self.motions, span, self.pressure, QUICK, waves
-        )
+        if forms_of is None:
+            span, waves = {**self.span, **screening.clock(from_.estimate)}, screening.waves(from_.estimate)
+            forms_of = partial(pilots, span=span, waves=waves)
+        names, whole = [*self.names, *chosen], self._whole(from_.model)
+        asked, said, forms = screening.screen(whole, names, self.kinds, self.motions, self.pressure, QUICK, forms_of)
         found = together(asked, self._tell("screening"))
         for f in found:
             if isinstance(f, Exception):

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ljjax.effect import Effect
-from ljjax.effects.varying import varies, varying
+from ljjax.effects.varying import PILOTS, varies, varying
 from ljjax.gap import judge, screening
-from ljjax.gap.candidates import Trial, cautious, either_side
+from ljjax.gap.candidates import Trial, cautious, either_side, still
 from ljjax.gap.channels import Measured
 from ljjax.gap.screening import Screen
 from ljjax.gap.search import Refit, Study
@@ -261,18 +261,55 @@ class Selection:
     def _vary(self, single: dict[str, Refit]) -> None:
         """The best effects once more, free to vary in strength with what acts on them, where they leave much: a true
         cause seldom has the library's form. Those that then leave notably less stay so."""
-        study = self.study
         ordered = sorted(single.values(), key=self.left)
         least = self.left(ordered[0])
-        if self.excess <= judge.OPEN * self.floor or not VARIED < least < HOPELESS:
+        if self.excess <= judge.OPEN * self.floor or least <= VARIED:
             return
-        near = [r for r in ordered if self.left(r) < NEARBY * least and self.left(r) < HOPELESS]
-        kinds = {k.id: varying(k) for k in study.kinds if varies(k) and any(r.ids == (k.id,) for r in near[:VARYING])}
-        free = replace(study, kinds=[kinds.get(k.id, k) for k in study.kinds])
-        more = free.varied([single[i] for i in kinds], "varying effects")
-        if kept := [r for r in more if self.left(r) < NOTABLY * self.left(single[r.ids[0]])]:
-            study.kinds = free.kinds
-            single |= {r.ids[0]: r for r in kept}
+        near = [r for r in ordered if self.left(r) < NEARBY * least and self.left(r) < HOPELESS][:VARYING]
+        kinds = {k.id: varying(k) for k in self.study.kinds if varies(k) and any(r.ids == (k.id,) for r in near)}
+        free = self._free(kinds)
+        if kept := self._better(single, free.varied([single[i] for i in kinds], "varying effects")):
+            self.study.kinds = free.kinds
+            single |= kept
+        if self._least(list(single.values())) > FURTHER:
+            self._vary_others(single, kinds)
+
+    def _vary_others(self, single: dict[str, Refit], tried: Collection[str]) -> None:
+        """Effects that promise most where they vary, of those not let vary yet: what varies much may do nothing as it
+        stands."""
+        kinds = {k.id: varying(k) for k in self.study.kinds if varies(k) and k.id not in tried}
+        free = self._free(kinds)
+
+        def forms(kind: type[Effect]) -> list[dict[str, float]]:
+            usual = dict(self.screen.forms[self.screen.best(kind.id)])
+            return [{**usual, way: much} for way, much in PILOTS] if kind.id in kinds else [usual]
+
+        screen = free.screen(self.base, forms)
+        first = [key for key in self._ahead(screen, len(screen.ids)) if key[0] in kinds][:VARYING]
+        steps = {}
+        for key in first:
+            trial, step = free.trial(screen, key)
+            steps[Trial(trial.ids, {**still(key[0]), **trial.start})] = step
+        found = free.refit(self.base.model, list(steps), screen, steps, "others that vary", finish=VARYING)
+        around = [t for trial in steps for t in either_side(trial, free.kinds)]
+        found += free.refit(
+            self.study.start, around, None, stage="others that vary, from the given model", finish=VARYING
+        )
+        if kept := self._better(single, found):
+            self.study.kinds = self._free({i: kinds[i] for i in kept}).kinds
+            single |= self._better(single, self.study.varied(list(kept.values()), "others that vary, once more"))
+
+    def _free(self, kinds: Mapping[str, type[Effect]]) -> Study:
+        """The study with these effects in place of those of the same ids."""
+        return replace(self.study, kinds=[kinds.get(k.id, k) for k in self.study.kinds])
+
+    def _better(self, single: Mapping[str, Refit], found: Sequence[Refit]) -> dict[str, Refit]:
+        """Of refits of effects that vary the best of each that leaves notably less than it did before."""
+        best: dict[str, Refit] = {}
+        for r in sorted(found, key=self.left):
+            if self.left(r) < NOTABLY * (self.left(single[r.ids[0]]) if r.ids[0] in single else 1.0):
+                best.setdefault(r.ids[0], r)
+        return best
 
     def _further(self, best: Refit, unit: float) -> list[Refit]:
         """What promises most on top of the best so far, refitted with it; begun anew where none of it is worth having,

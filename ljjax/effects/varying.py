@@ -20,7 +20,7 @@ from jaxtyping import Array
 
 from ljjax.effect import Effect, Memory, Now, Vector, variation
 
-LOAD_N, VACUUM_KPA, BEND_RAD, RATE_RAD_S, WARMTH_K, SENSE_RAD2_S = 10.0, 15.0, 0.1, 0.2, 2.0, 0.005
+LOAD_N, VACUUM_KPA, BEND_RAD, RATE_RAD_S, WARMTH_K, SENSE_RAD2_S = 10.0, 15.0, 0.4, 0.5, 2.0, 0.005
 """Where what an effect varies with is halfway."""
 WAYS = {
     "by_load": f"T/(T + {LOAD_N:g} N), T both tensions together; twice its own, for what acts on a tendon by itself",
@@ -31,16 +31,21 @@ WAYS = {
     "by_sense": f"qv/(abs(qv) + {SENSE_RAD2_S:g} rad²/s), positive where the body bends further",
 }
 """What an effect may vary with, and how."""
+PILOTS = (
+    *((way, 8.0) for way in ("by_load", "by_vacuum", "by_bend", "by_rate", "by_warmth")),
+    *(("by_sense", much) for much in (1.0, -1.0)),
+)
+"""Ways of varying much from which a search begins."""
 LEAST = 0.02
 """The share of a stiffness or friction that a varying effect leaves at least."""
 
 
 class _Varying(Effect):
-    by_load: Array = variation(-1.0, 4.0)
-    by_vacuum: Array = variation(-1.0, 4.0)
-    by_bend: Array = variation(-1.0, 4.0)
-    by_rate: Array = variation(-1.0, 4.0)
-    by_warmth: Array = variation(-1.0, 4.0)
+    by_load: Array = variation(-1.0, 20.0)
+    by_vacuum: Array = variation(-1.0, 20.0)
+    by_bend: Array = variation(-1.0, 20.0)
+    by_rate: Array = variation(-1.0, 20.0)
+    by_warmth: Array = variation(-1.0, 20.0)
     by_sense: Array = variation(-1.0, 1.0)
 
     def _amount(self, now: Now, load: Array) -> Array:
@@ -118,6 +123,8 @@ def varying(kind: type[Effect]) -> type[Effect]:
 
 
 def varies(kind: type[Effect]) -> bool:
-    """Whether anything that an effect does can vary: a mere transport delay cannot."""
+    """Whether anything that an effect does can vary, and does not yet: a mere transport delay cannot."""
+    if issubclass(kind, _Varying):
+        return False
     hooks = ("actuate", "evacuate", "alpha2", "phi", "slip", "load", "torque", "sense")
     return any(getattr(kind, name) is not getattr(Effect, name) for name in hooks)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from ljjax.effects import REGISTRY
+from ljjax.effects.varying import WAYS
 from ljjax.gap.candidates import Trial, either_side, pilots, sizes
 from ljjax.gap.channels import Channel, Fitted, Measured
 from ljjax.gap.screening import Column, Screen, clock, waves
@@ -235,7 +236,7 @@ def test_no_gap_is_unexplained_before_every_effect_has_been_tried():
         begun: set[str] = set()
 
         class Told(Study):
-            def screen(self, from_):
+            def screen(self, from_, forms_of=None):
                 return seen
 
             def refit(self, like, trials, screen, steps=None, stage="", finish=1, sure=0, within=np.inf):
@@ -291,12 +292,58 @@ def test_leaders_that_leave_much_may_vary(alone, varied, vary):
     selection.study = Told(any_, (), list(REGISTRY.values()), (any_, any_), 0.0, {})
     selection.floor, selection.excess = 100.0, 900.0
     selection.left = lambda refit: (refit.total - 100) / 900
+    others: list[set[str]] = []
+    selection._vary_others = lambda single, tried: others.append(set(tried))
     single = {i: refitted(i, x) for i, x in alone.items()}
     selection._vary(single)
     assert set(asked) == set(varied)
+    assert others == ([set(varied)] if min(map(selection.left, single.values())) > 0.12 else [])
     assert {i for i, r in single.items() if selection.left(r) < alone[i]} == vary
     free = {k.id for k in selection.study.kinds if "by_load" in k.fields()}
     assert free == (set(varied) if vary else set())
+
+
+def test_what_does_nothing_as_it_stands_may_vary_too():
+    """Of the effects not let vary yet those that promise most in any way; what then leaves notably less stays."""
+    kinds = [REGISTRY[i] for i in ("viscous_damping", "contact", "base_tilt", "sensor_bias")]
+    usual = {(k.id, 0): {"power": 1.8} if k.id == "viscous_damping" else {} for k in kinds}
+    any_, none = cast(Any, None), np.zeros((2, 2, 1))
+    columns = [Column(k.id, 0, "", 0, 0, 1) for k in kinds]
+    before = Screen(columns, usual, none, none, none, dict.fromkeys(usual, 1.0), {}, {}, {}, none)
+    forms: dict[tuple[str, int], dict[str, float]] = {}
+    begun: list[Trial] = []
+
+    def refitted(trial: Trial, left: float) -> Any:
+        return SimpleNamespace(trial=trial, ids=trial.ids, total=100 + 900 * left, free_effects=dict(trial.start))
+
+    class Told(Study):
+        def screen(self, from_, forms_of=None):
+            assert forms_of is not None
+            forms.update({(k.id, n): f for k in self.kinds for n, f in enumerate(forms_of(k))})
+            gains = {k: 9.0 if k[0] == "viscous_damping" and "by_bend" in f else 1.0 for k, f in forms.items()}
+            columns = [Column(*key, "", 0, 0, 1) for key in forms]
+            steps = {k: {"damping": 0.1} if k[0] == "viscous_damping" else {} for k in forms}
+            return Screen(columns, forms, none, none, none, gains, gains, steps, {k: np.zeros(0) for k in forms}, none)
+
+        def refit(self, like, trials, screen, steps=None, stage="", finish=1, sure=0, within=np.inf):
+            begun.extend(trials)
+            return [refitted(t, 0.05 if t.ids == ("viscous_damping",) else 0.9) for t in trials]
+
+        def varied(self, refits, stage):
+            return list(refits)
+
+    selection: Any = object.__new__(Selection)
+    selection.study = Told(any_, (), kinds, (any_, any_), 0.0, {})
+    selection.screen, selection.base = before, SimpleNamespace(model=None)
+    selection.left = lambda refit: (refit.total - 100) / 900
+    single = {i: refitted(Trial((i,)), 0.94) for i in ("viscous_damping", "contact", "base_tilt")}
+    selection._vary_others(single, {"base_tilt"})
+    assert {k[0] for k, f in forms.items() if "by_bend" in f} == {"viscous_damping", "contact", "sensor_bias"}
+    bent = next(t for t in begun if t.ids == ("viscous_damping",)).start
+    own = {p.split(".")[2]: x for p, x in bent.items()}
+    assert own == {**dict.fromkeys(WAYS, 0.0), "by_bend": 8.0, "power": 1.8, "damping": 0.1}
+    assert selection.left(single["viscous_damping"]) == 0.05 and selection.left(single["contact"]) == 0.94
+    assert [k.id for k in selection.study.kinds if "by_bend" in k.fields()] == ["viscous_damping"]
 
 
 @pytest.mark.parametrize("leaves, kept", [(0.05, True), (0.2, False)])
