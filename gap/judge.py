@@ -4,9 +4,9 @@ Two things part candidates. Chance: a gain must exceed the largest one that any 
 effect. And form: no effect has quite the form it has here, so that even the true cause leaves a share of the gap; what
 it leaves is taken to be spread as a power of 1/share, whatever the number of samples. A cause acts alike where it was
 not fitted, a stand-in for it seldom does: the share is the geometric mean of what is left where all conditions are
-fitted and of what is left where each is left out, and no less than what is left of runs that no fit has seen, but for
-a tenth of the gap. Whatever the data say, something stays with what nobody has thought of. How much of each is in
-`Weights`.
+fitted and of what is left elsewhere, where each is left out and on runs that no fit has seen; and no less than what is
+left of the latter, but for a tenth of the gap. Whatever the data say, something stays with what nobody has thought of.
+How much of each is in `Weights`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ class Weights:
         leaves: share of a gap that an effect outside the library is taken to leave by the best one inside it.
         ahead: share of what the second best leaves below which the best is ahead of all others, as few stand-ins are.
         unforeseen: what stays, whatever the data say, with what nobody has thought of.
-        simpler: odds for one parameter less in use, where two effects leave as much.
+        simpler: odds for one parameter less in use, where two effects leave as much; what is outside the library is
+            taken to need as many as the most probable effect inside it.
     """
 
     sharpness: float
@@ -107,17 +108,23 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
     out[right], out[other] = (1 - ASIDE) * none, ASIDE * none
     blur = 0.004 + 8 * e.unit
     least = min([0.0, *e.left.values()])  # what is left is told from the best: the noise is known to `FLOOR` only
-    share = {i: _carried(left - least + blur, e.unseen.get(i, left) - least + blur) for i, left in e.left.items()}
-    share |= {i: max(share[i], min(x, 1.0) - KEPT) for i, x in e.held_out.items()}
+    share = {}
+    for i, left in e.left.items():
+        elsewhere = [by[i] - least + blur for by in (e.unseen, e.held_out) if by.get(i)]
+        share[i] = max(_carried(left - least + blur, elsewhere), min(e.held_out.get(i, 0.0), 1.0) - KEPT)
+    used = {i: e.used.get(i, e.parameters[i]) for i in share}
     weight = {
-        i: by.simpler ** -e.used.get(i, e.parameters[i])
+        i: by.simpler ** -used[i]
         * (x + 2 * e.unit * e.parameters[i]) ** -by.sharpness
         * max(1 - x, 0.0)  # a cause that leaves nearly all is none
         for i, x in share.items()
     }
-    weight["unlisted_effect"] = 0.5 / by.simpler * (_outside(e, least, by) + blur) ** -by.sharpness
-    if e.flexible:
-        decoy = max(min(e.flexible.values()) - least, 0.0) + blur + 2 * e.unit * TERMS
+    best = main_of(weight, list(weight)) if weight else None
+    simplest, carries = (used[best], share[best] / (e.left[best] - least + blur)) if best else (1, 1.0)
+    outside = (_outside(e, least, by) + blur) ** -by.sharpness
+    weight["unlisted_effect"] = 0.5 * by.simpler**-simplest * outside
+    if e.flexible:  # it is taken to carry over as the best effect does
+        decoy = carries * (max(min(e.flexible.values()) - least, 0.0) + blur) + 2 * e.unit * TERMS
         weight["unlisted_effect"] += by.simpler**-TERMS * decoy**-by.sharpness
     total = sum(weight.values())
     rest = 1 - sum(out.values())
@@ -135,10 +142,12 @@ def _outside(e: Evidence, least: float, by: Weights) -> float:
     return by.leaves + far * max(by.ahead * second - by.leaves, 0.0)
 
 
-def _carried(fitted: float, left_out: float) -> float:
-    """Geometric mean of the shares left where all is fitted and where each condition is left out; the latter, of first
-    order only, counts neither for less than the former nor beyond the base's own."""
-    return float(np.sqrt(fitted * max(fitted, min(left_out, 1.0))))
+def _carried(fitted: float, elsewhere: Sequence[float]) -> float:
+    """Geometric mean of the share left where all is fitted and of that left elsewhere: where each condition is left
+    out, of first order only, and on runs that no fit has seen, so far as known (their geometric mean). None of these
+    counts for less than the former nor beyond the base's own."""
+    other = [max(fitted, min(x, 1.0)) for x in elsewhere] or [fitted]
+    return float(np.exp(0.5 * np.log(fitted) + 0.5 * np.mean(np.log(other))))
 
 
 def chance(null: np.ndarray, gain: float, unit: float) -> float:
