@@ -9,7 +9,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from ljjax import modelfile
 from ljjax.effects import REGISTRY, build
@@ -37,30 +36,32 @@ def test_an_effect_that_does_not_vary_is_as_it_was(robot):
     assert [k.id for k in REGISTRY.values() if not varies(k)] == ["actuator_delay"]
 
 
-@pytest.mark.parametrize(
-    ("effect", "way"),
-    [
-        ("actuator_gain", "by_load"),
-        ("actuator_lag", "by_sense"),
-        ("pressure_lag", "by_rate"),
-        ("stiffness_saturation", "by_vacuum"),
-        ("viscous_damping", "by_bend"),
-        ("base_tilt", "by_load"),
-        ("layer_hysteresis", "by_vacuum"),
-        ("sensor_filter", "by_rate"),
-    ],
-)
-def test_a_way_to_vary_changes_the_motion_and_has_the_right_derivative(robot, effect, way):
-    model = with_sizes(robot(3), 1.5, [varying(REGISTRY[effect])])
-    path, d = f"effects.{effect}.{way}", 1e-5
+def test_a_way_to_vary_changes_the_motion_and_has_the_right_derivative(robot):
+    """An effect of each hook, all in one model, each varying in one way."""
+    ways = {
+        "actuator_gain": "by_load",
+        "actuator_lag": "by_sense",
+        "pressure_lag": "by_rate",
+        "stiffness_saturation": "by_vacuum",
+        "viscous_damping": "by_bend",
+        "base_tilt": "by_load",
+        "layer_hysteresis": "by_vacuum",
+        "sensor_filter": "by_rate",
+    }
+    model = with_sizes(robot(3), 1.0, [varying(REGISTRY[effect]) for effect in ways])
 
+    @jax.jit
     def at(x):
-        return seen(replace(model, {path: x}), drive())
+        return seen(
+            replace(model, {f"effects.{i}.{way}": a for (i, way), a in zip(ways.items(), x, strict=True)}), drive()
+        )
 
-    still, slope = jax.jvp(at, (jnp.asarray(0.4),), (jnp.asarray(1.0),))
-    assert float(jnp.abs(still - at(0.0)).max()) > 1e-5
-    expected = (at(0.4 + d) - at(0.4 - d)) / (2 * d)
-    assert float(jnp.abs(slope - expected).max()) < 0.02 * float(jnp.abs(expected).max()) + 1e-9
+    slope_at, middle, d = jax.jit(lambda x, t: jax.jvp(at, (x,), (t,))[1]), jnp.full(len(ways), 0.4), 1e-5
+    for effect, along in zip(ways, jnp.eye(len(ways)), strict=True):
+        expected = (at(middle + d * along) - at(middle - d * along)) / (2 * d)
+        assert float(jnp.abs(at(middle) - at(middle - 0.4 * along)).max()) > 1e-5, effect
+        error = jnp.abs(slope_at(middle, along) - expected).max()
+        assert float(error) < 0.02 * float(jnp.abs(expected).max()) + 1e-9, effect
 
 
 def test_an_effect_never_turns_round(robot):
