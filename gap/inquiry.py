@@ -18,7 +18,7 @@ from ljjax.gap.candidates import Trial
 from ljjax.gap.channels import Measured
 from ljjax.gap.search import Refit, Study
 from ljjax.gap.selection import Selection
-from ljjax.gap.stand_ins import MIMICS, QUICK, STAND_INS, stand_in
+from ljjax.gap.stand_ins import QUICK, STAND_INS, stand_in
 from ljjax.logs import Run
 from ljjax.modelfile import ModelFile
 
@@ -244,7 +244,7 @@ class Inquiry:
         unless one of them mimics what a stand-in is for."""
         study, best = self.setting.study, self.found.best
         left = self.own_left(best)
-        if self.excess < judge.OPEN * self.floor or (left < SOME and not MIMICS & {*best.ids}):
+        if self.excess < judge.OPEN * self.floor or (left < SOME and not judge.MIMICS & {*best.ids}):
             return {}
         found = stand_in(study, self.base, QUICK) | (stand_in(study, self.base, STAND_INS) if left > LEFT_OVER else {})
         return {place: min(self.own_left(r), 1.0) for place, r in found.items()}

@@ -28,7 +28,7 @@ class Weights:
         ahead: share of what the second best leaves below which the best is ahead of all others, as few stand-ins are.
         unforeseen: what stays, whatever the data say, with what nobody has thought of.
         simpler: odds for one parameter less in use, where two effects leave as much; what is outside the library is
-            taken to need as many as the most probable effect inside it.
+            taken to need as many as the most probable effect inside it, or as a flexible stand-in.
     """
 
     sharpness: float
@@ -52,6 +52,10 @@ ASIDE, SURELY = 0.015, 0.985
 where the gap does not matter: none of 45 fresh robots so told had an effect, or the other of the two."""
 TERMS = 8
 """How many parameters a flexible stand-in is taken to have."""
+MIMICS = frozenset({"actuator_ripple"})
+"""Effects that do nearly what much outside the library does, so that they are as far ahead of all others as a true
+cause is, and stand-ins of few terms are asked beside them however little they leave: a tendon's ripple over the bend,
+of any length, makes up for a body that snaps in waves over its own."""
 FLOOR = 0.04
 """Relative standard deviation that the noise's variance is taken to have; chosen by hand."""
 KEPT = 0.1
@@ -122,7 +126,7 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
     best = main_of(weight, list(weight)) if weight else None
     simplest, carries = (used[best], share[best] / (e.left[best] - least + blur)) if best else (1, 1.0)
     outside = (_outside(e, least, by) + blur) ** -by.sharpness
-    weight["unlisted_effect"] = 0.5 * by.simpler**-simplest * outside
+    weight["unlisted_effect"] = 0.5 * by.simpler ** -min(simplest, TERMS) * outside
     if e.flexible:  # it is taken to carry over as the best effect does
         decoy = carries * (max(min(e.flexible.values()) - least, 0.0) + blur) + 2 * e.unit * TERMS
         weight["unlisted_effect"] += by.simpler**-TERMS * decoy**-by.sharpness
@@ -136,8 +140,10 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
 
 def _outside(e: Evidence, least: float, by: Weights) -> float:
     """The share that the best effect is taken to leave of one outside the library: more where it is far ahead of all
-    others, as a stand-in is not; in full where it leaves half of what would make it so."""
+    others, as a stand-in is not unless it is one of `MIMICS`; in full where it leaves half of what would make it so."""
     first, second, *_ = sorted(min(x - least, 1.0) for x in (*e.left.values(), 1.0, 1.0))
+    if MIMICS & {i for i, x in e.left.items() if x - least <= first}:
+        return by.leaves
     far = min(max(2 - 2 * first / (by.ahead * second), 0.0), 1.0) if second > 0 else 0.0
     return by.leaves + far * max(by.ahead * second - by.leaves, 0.0)
 

@@ -252,9 +252,6 @@ class AtSensor(Effect):
 STAND_INS: tuple[type[Effect], ...] = (AtTendons, AtVacuum, AtBody, AtFriction, AtSensor)
 QUICK: tuple[type[Effect], ...] = (InWaves, AtOnce)
 """Of few terms: asked even where the effects found leave little."""
-MIMICS = frozenset({"actuator_ripple"})
-"""Effects that do nearly what one of `QUICK` does, so that these are asked beside them however little they leave: a
-tendon's ripple over the bend, of any length, makes up for a body that snaps in waves over its own."""
 PLACES = {k.id: k.id.removeprefix("stand_in_").replace("_", " ") for k in (*STAND_INS, *QUICK)}
 BLOCKS = {PLACES[k.id]: k.block for k in (*STAND_INS, *QUICK)}
 FINISH = 3

@@ -6,10 +6,12 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import power, towards_base, turned
+from ljjax.effects.shapes import positive, power, towards_base, turned
 
 LOAD_N = 10.0
 """Load at which a friction is the same by any power of it."""
+BEND_RAD, EVEN_RAD = 0.1, 1e-4
+"""Bend at which a tendon presses as much where it is bent as elsewhere, and below which that counts as even [rad]."""
 TURN_RAD = 0.004
 """Rotation within which a joint's direction turns round [rad]."""
 
@@ -42,20 +44,24 @@ class FrictionAsymmetry(Effect):
 
 
 class LoadDependentFriction(Effect):
-    """Tendon load presses the layers: φ + (k N(u₁ + u₂) + k_d N(u₁ − u₂)) (1 + g x), N(u) = |u| (|u|/u₀)^(p − 1), u₀ =
-    10 N; x from 1 at the base, where the loads of all joints add up, to −1 at the tip."""
+    """Tendon load presses the layers: φ + (k N(u₁ + u₂) + k_d N(u₁ − u₂)) (1 + g x) (1 − b + b |q|/q₀), N(u) = |u|
+    (|u|/u₀)^(p − 1), u₀ = 10 N; x from 1 at the base, where the loads of all joints add up, to −1 at the tip; a share b
+    presses where a tendon goes round a bend, q₀ = 0.1 rad."""
 
     id, block, axes = "load_dependent_friction", "friction", ("load", "direction", "angle")
     gain: jax.Array = parameter("N·m/N", 0.0, 0.0, 20.0, 0.1)
     of_net: jax.Array = parameter("N·m/N", 0.0, 0.0, 20.0, 0.1)
     power: jax.Array = shape("1", 1.0, 0.2, 3.0, (0.5, 1.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
+    bent: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
 
     def phi(self, memory, phi, now):
         left, right = now.u
         presses = [jnp.abs(u) * power(u, LOAD_N, self.power - 1) for u in (left + right, left - right)]
         more = self.gain * presses[0] + self.of_net * presses[1]
-        return tuple(p + more * s for p, s in zip(phi, towards_base(self.to_base, len(phi)), strict=True))
+        bends = [1 - self.bent + self.bent * jnp.sqrt(q * q + EVEN_RAD**2) / BEND_RAD for q in now.q]
+        along = towards_base(self.to_base, len(phi))
+        return tuple(p + more * s * b for p, s, b in zip(phi, along, bends, strict=True))
 
 
 SMALL = 1e-5
@@ -64,13 +70,15 @@ SMALL = 1e-5
 
 class ThermalDrift(Effect):
     """Friction and stiffness drift as the robot warms: times 1 + b W, W = (1 − exp(−c ΔT))/c, which is ΔT for c = 0 and
-    soon at its end for a large c. Where no temperature is logged ΔT is the time since the first run began, 10 K (1 −
-    exp(−t/600 s)), and c says how much faster, or slower, the robot is."""
+    soon at its end for a large c; W exp(−f ΔT₊) for friction, the most at 1/f where layers rub most when they are
+    lukewarm. Where no temperature is logged ΔT is the time since the first run began, 10 K (1 − exp(−t/600 s)), and c
+    says how much faster, or slower, the robot is."""
 
     id, block, axes = "thermal_drift", "friction", ("run", "time", "direction")
     friction_per_k: jax.Array = parameter("1/K", 0.0, -2.0, 2.0, 0.01)
     stiffness_per_k: jax.Array = parameter("1/K", 0.0, -2.0, 2.0, 0.01)
     curve_per_k: jax.Array = shape("1/K", 0.0, -0.3, 3.0, (0.6, 0.0))
+    falls_per_k: jax.Array = shape("1/K", 0.0, 0.0, 3.0, (0.2, 0.0))
 
     def _warmed(self, warm):
         c = self.curve_per_k
@@ -81,4 +89,5 @@ class ThermalDrift(Effect):
         return tuple(a * (1 + self.stiffness_per_k * self._warmed(now.warm)) for a in alpha2)
 
     def phi(self, memory, phi, now):
-        return tuple(p * (1 + self.friction_per_k * self._warmed(now.warm)) for p in phi)
+        warmed = self._warmed(now.warm) * jnp.exp(-self.falls_per_k * positive(now.warm))
+        return tuple(p * (1 + self.friction_per_k * warmed) for p in phi)

@@ -42,8 +42,8 @@ class PressureLeak(Effect):
     """The sheath holds less vacuum than the gauge, the more the longer it is held: P = (1 − L f) P_line, f rising to 1
     with the time constant τ while there is a vacuum, and back to 0 soon after it is vented; and a share h of what it
     lacks follows the line's vacuum that late, P = (P_line − L D)₊ with τḊ = P_line − D. A share b of the
-    leak may be at folds that open with the bend: f then goes to 1 − b + b q²/(q² + w²), q² the joints' mean, and
-    b q²/(q² + w²) when vented."""
+    leak may be at folds that open with the bend, and a share m at lips that open with motion: f then goes to
+    (1 − b − m)₊ + b q²/(q² + w²) + m v²/(v² + ω²), q² and v² the joints' means, and to the latter two when vented."""
 
     id, block, axes = "pressure_leak", "jamming", ("pressure", "time")
     share: jax.Array = parameter("1", 0.0, 0.0, 0.95, 0.15)
@@ -51,6 +51,8 @@ class PressureLeak(Effect):
     held: jax.Array = shape("1", 0.5, 0.0, 1.0, (1.0, 0.0))
     of_bend: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     open_rad: jax.Array = shape("rad", 0.15, 0.01, 2.0, (0.4,), "angle")
+    of_motion: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    open_rad_s: jax.Array = shape("rad/s", 0.3, 0.02, 10.0, (0.3,))
 
     def start(self, now):
         return 0.0 * now.vacuum, 0.0 * now.vacuum
@@ -59,9 +61,11 @@ class PressureLeak(Effect):
         leaked, lacking = memory
         held = vacuum > VENTED_KPA
         bend = sum(q * q for q in now.middle) / len(now.middle)
-        folds = bend / (bend + self.open_rad * self.open_rad)
-        goal = jnp.where(held, 1.0 - self.of_bend, 0.0 * vacuum) + self.of_bend * folds
-        tau = jnp.where(held, self.tau_s, VENT_S + self.of_bend * (self.tau_s - VENT_S))
+        rate = sum(v * v for v in now.v) / len(now.v)
+        opened = self.of_bend * bend / (bend + self.open_rad**2) + self.of_motion * rate / (rate + self.open_rad_s**2)
+        moved = jnp.minimum(self.of_bend + self.of_motion, 1.0)
+        goal = jnp.where(held, 1.0 - moved, 0.0 * vacuum) + opened
+        tau = jnp.where(held, self.tau_s, VENT_S + moved * (self.tau_s - VENT_S))
         part, leaked = lagged(goal, leaked, tau, now.h)
         late, lacking = lagged(vacuum, lacking, tau, now.h)
         return positive(vacuum - self.share * ((1 - self.held) * vacuum * part + self.held * late)), (leaked, lacking)

@@ -63,17 +63,20 @@ RATE_RAD_S, BEND_RAD = 0.3, 0.1
 
 
 class ViscousDamping(Effect):
-    """Damping independent of the vacuum: D q̇ (|q̇|/v₀)^(a − 1), v₀ = 0.3 rad/s; a = 1 is linear; more of it towards one
-    end of the body by D₁, none where that would be less than none."""
+    """Damping independent of the vacuum: D q̇ (|q̇|/v₀)^(a − 1) (1 − b + b q²/q₀²), v₀ = 0.3 rad/s; a = 1 is linear; more
+    of it towards one end of the body by D₁, none where that would be less than none; a share b of what is squeezed
+    where it is bent, q₀ = 0.1 rad."""
 
     id, block, axes = "viscous_damping", "structure", ("rate", "direction")
     damping: jax.Array = parameter("N·m·s/rad", 0.0, 0.0, 20.0, 0.05)
     mode1: jax.Array = parameter("N·m·s/rad", 0.0, -5.0, 5.0, 0.02)
     power: jax.Array = shape("1", 1.0, 0.2, 3.0, (0.6, 1.0, 1.8))
+    bent: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
 
     def torque(self, memory, i, q, v, stage):
         none, n = 0.0 * self.mode1, len(stage.alpha2)
         here = self.damping + along((self.mode1, none, none, none, none), n)[i]
+        here = here * (1 - self.bent + self.bent * (q / BEND_RAD) ** 2)
         return jnp.where(here < 0, none, here) * v * power(v, RATE_RAD_S, self.power - 1)
 
 
@@ -191,9 +194,14 @@ class GravityDistribution(Effect):
         return tuple(x - m for x, m in zip(load, _moments(now, weights, now.sin), strict=True))
 
 
+SEAM_RAD = 0.02
+"""Bend at which a seam has closed by two thirds."""
+
+
 class NonuniformStiffness(Effect):
     """Segments differ: α₂,ᵢ = α₂ + 2 dᵢ ((1 − s) α₂(0) + s (α₂ − α₂(0))), d by modes along the body (Legendre's P₁ …
-    P₅; their mean is in α₂): in the backbone (s = 0), the layers (s = 1), or both alike, α₂ (1 + dᵢ)."""
+    P₅; their mean is in α₂): in the backbone (s = 0), the layers (s = 1), or both alike, α₂ (1 + dᵢ). Seams that resist
+    to one side differ by dᵢ (1 + r q/√(q² + w²)), w = 0.02 rad."""
 
     id, block, axes, modes_of_theta = "nonuniform_stiffness", "structure", ("segment", "angle"), 5
     mode1: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
@@ -202,12 +210,14 @@ class NonuniformStiffness(Effect):
     mode4: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
     mode5: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
     of_layers: jax.Array = shape("1", 0.5, 0.0, 1.0, (0.5,))
+    one_sided: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.8, 0.0, -0.8))
 
     def alpha2(self, memory, alpha2, now):
-        modes = (self.mode1, self.mode2, self.mode3, self.mode4, self.mode5)
+        modes = along((self.mode1, self.mode2, self.mode3, self.mode4, self.mode5), len(alpha2))
         bare = energy.alpha2(now.model, 0.0 * now.vacuum)
         parts = [2 * ((1 - self.of_layers) * bare + self.of_layers * (a - bare)) for a in alpha2]
-        return tuple(a + d * x for a, x, d in zip(alpha2, parts, along(modes, len(alpha2)), strict=True))
+        sides = [1 + self.one_sided * q / jnp.sqrt(q * q + SEAM_RAD**2) for q in now.middle]
+        return tuple(a + d * x * s for a, x, d, s in zip(alpha2, parts, modes, sides, strict=True))
 
 
 CREEP_M_S = 1e-3

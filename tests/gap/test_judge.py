@@ -59,8 +59,9 @@ def test_what_carries_over_to_runs_that_no_fit_saw_is_likely_a_cause():
 
 def test_parameters_in_use_by_all_that_leave_little_do_not_speak_for_something_unknown():
     found = evidence({"contact": 0.15, "base_tilt": 0.9})
-    few, many = (judge.probabilities(dataclasses.replace(found, used={"contact": n})) for n in (1, 8))
+    few, many, more = (judge.probabilities(dataclasses.replace(found, used={"contact": n})) for n in (1, 8, 16))
     assert many["contact"] == pytest.approx(few["contact"], abs=1e-3)
+    assert 1 - more["contact"] > 2 * (1 - many["contact"])  # unless they are more than a stand-in for anything has
 
 
 def test_a_stand_in_that_leaves_far_less_speaks_for_an_effect_outside_the_library():
@@ -84,6 +85,9 @@ def test_what_is_far_ahead_of_all_others_is_a_cause_in_another_form_not_a_stand_
     """Of what nobody knows, several effects can each mimic a part."""
     alone, among = (judge.probabilities(evidence({"contact": 0.3, "base_tilt": x})) for x in (0.95, 0.4))
     assert alone["contact"] > 0.8 and among["unlisted_effect"] > among["contact"]
+    (mimic,) = judge.MIMICS  # which is ahead of all others where it does what is outside the library
+    ahead = judge.probabilities(evidence({mimic: 0.3, "base_tilt": 0.95}))
+    assert ahead["unlisted_effect"] > ahead[mimic]
 
 
 def test_what_does_not_carry_over_to_a_condition_left_out_is_likely_a_stand_in():

@@ -68,13 +68,16 @@ def test_a_sheath_fills_behind_its_line():
         np.testing.assert_allclose(apart, 20.0 * left, atol=0.02)
 
 
-def test_a_leak_may_be_at_folds_that_open_with_the_bend():
-    """Nothing is lost while the body is straight, with a time constant half of the share where q = w."""
+@pytest.mark.parametrize("opens", [{"of_bend": 1.0, "open_rad": 0.2}, {"of_motion": 1.0, "open_rad_s": 0.2}])
+def test_a_leak_may_be_at_what_opens_with_the_bend_or_with_motion(opens):
+    """Nothing is lost while the body is straight or at rest, with a time constant half of the share where q = w."""
     kind: Any = REGISTRY["pressure_leak"]
-    leak, line = kind(share=0.4, tau_s=0.5, held=0.0, of_bend=1.0, open_rad=0.2), jnp.asarray(20.0)
+    leak, line = kind(share=0.4, tau_s=0.5, held=0.0, **opens), jnp.asarray(20.0)
 
-    def held(bend: float, seconds: float) -> float:
-        now: Any = SimpleNamespace(vacuum=line, h=jnp.asarray(1e-3), middle=(jnp.asarray(bend), jnp.asarray(-bend)))
+    def held(opened: float, seconds: float) -> float:
+        moved, none = jnp.asarray([opened, -opened]), jnp.zeros((2,))
+        bent, fast = (moved, none) if "of_bend" in opens else (none, moved)
+        now: Any = SimpleNamespace(vacuum=line, h=jnp.asarray(1e-3), middle=bent, v=fast)
         memory, vacuum = leak.start(now), line
         for _ in range(round(seconds / 1e-3)):
             vacuum, memory = leak.evacuate(memory, line, now)
@@ -135,10 +138,10 @@ def test_an_obstacle_rubs_with_its_share_of_what_it_pushes_with(robot):
 
 def test_a_tip_that_sticks_to_an_obstacle_is_stable_at_long_steps(robot):
     """Such friction damps far more heavily than a step of 10 ms would bear if it were not solved for."""
-    model = dataclasses.replace(robot(6), effects=(rough_contact(2.0),))
+    model = dataclasses.replace(robot(3), effects=(rough_contact(2.0),))
     coarse, fine = (np.asarray(simulate(model, drive(), at=jnp.asarray(AT), step_s=h).state.q) for h in (0.01, 0.001))
     assert np.abs(coarse - fine).max() < 0.05 * np.ptp(fine)
-    free = np.asarray(simulate(robot(6), drive(), at=jnp.asarray(AT), step_s=0.01).state.q)
+    free = np.asarray(simulate(robot(3), drive(), at=jnp.asarray(AT), step_s=0.01).state.q)
     assert np.abs(coarse - free).max() > 0.1 * np.ptp(fine)
 
 
@@ -208,16 +211,18 @@ def test_each_motor_may_lag_in_its_own_way():
     assert float(left) < 0.1 and float(right) == 4.0
 
 
-def test_load_presses_by_a_power_of_it_and_more_towards_the_base():
+def test_load_presses_by_a_power_of_it_more_towards_the_base_and_more_where_it_goes_round_a_bend():
     kind: Any = REGISTRY["load_dependent_friction"]
-    presses = kind(gain=0.2, power=0.5, to_base=0.5)
-    phi = tuple(jnp.full((3,), 2.0))
-    more = {}
-    for load in (10.0, 40.0):
-        now: Any = SimpleNamespace(u=(jnp.asarray(0.5 * load), jnp.asarray(0.5 * load)))
-        more[load] = np.array(presses.phi((), phi, now)) - 2.0
-    np.testing.assert_allclose(more[10.0], [3.0, 2.0, 1.0], rtol=1e-5)  # 0.2 N·m/N of 10 N, and half as much again
-    np.testing.assert_allclose(more[40.0], 2 * more[10.0], rtol=1e-5)
+
+    def more(load: float, **form: float) -> np.ndarray:
+        q = tuple(jnp.asarray([0.0, 0.1, -0.2]))
+        now: Any = SimpleNamespace(u=(jnp.asarray(0.5 * load), jnp.asarray(0.5 * load)), q=q)
+        return np.array(kind(gain=0.2, **form).phi((), tuple(jnp.full((3,), 2.0)), now)) - 2.0
+
+    along = more(10.0, power=0.5, to_base=0.5)
+    np.testing.assert_allclose(along, [3.0, 2.0, 1.0], rtol=1e-5)  # 0.2 N·m/N of 10 N, and half as much again
+    np.testing.assert_allclose(more(40.0, power=0.5, to_base=0.5), 2 * along, rtol=1e-5)
+    np.testing.assert_allclose(more(10.0, bent=1.0), [0.0, 2.0, 4.0], atol=3e-3)
 
 
 def test_backbone_or_layers_may_differ_along_the_body(robot):
@@ -226,7 +231,7 @@ def test_backbone_or_layers_may_differ_along_the_body(robot):
     for layers in (0.0, 0.5, 1.0):
         differ = kind(mode1=0.1, of_layers=layers)
         for vacuum in (0.0, 20.0):
-            now: Any = SimpleNamespace(model=model, vacuum=jnp.asarray(vacuum))
+            now: Any = SimpleNamespace(model=model, vacuum=jnp.asarray(vacuum), middle=(0.0, 0.1, -0.1))
             mean = energy.alpha2(model, now.vacuum)
             stiff[layers, vacuum] = np.array(differ.alpha2((), (mean,) * 3, now)) / float(mean) - 1
     np.testing.assert_allclose(stiff[0.5, 20.0], [-0.1, 0.0, 0.1], atol=1e-12)
@@ -234,6 +239,18 @@ def test_backbone_or_layers_may_differ_along_the_body(robot):
     np.testing.assert_allclose(stiff[1.0, 0.0], 0.0)
     np.testing.assert_allclose(stiff[0.0, 20.0] + stiff[1.0, 20.0], 2 * stiff[0.5, 20.0], atol=1e-12)
     assert min(np.ptp(stiff[0.0, 20.0]), np.ptp(stiff[1.0, 20.0])) > 0
+
+
+def test_seams_may_resist_to_one_side(robot):
+    model, one = robot(3), jnp.ones(())
+    seam: Any = REGISTRY["nonuniform_stiffness"](**{"mode1": 0.1, "one_sided": 1.0})
+    more = {}
+    for q in (-0.5, 0.5):
+        now: Any = SimpleNamespace(model=model, vacuum=0.0 * one, middle=(q * one,) * 3)
+        mean = energy.alpha2(model, now.vacuum)
+        more[q] = np.array(seam.alpha2((), (mean,) * 3, now)) / float(mean) - 1
+    np.testing.assert_allclose(more[0.5], [-0.2, 0.0, 0.2], rtol=1e-3, atol=1e-12)
+    np.testing.assert_allclose(more[-0.5], 0.0, atol=1e-4)
 
 
 def test_a_slack_tendon_is_wound_up_before_the_body_feels_it():
@@ -334,6 +351,24 @@ def test_a_robot_may_warm_faster_than_is_taken_for_granted():
     np.testing.assert_allclose(
         drift(0.6) / drift(0.6)[-1], -np.expm1(-t / 110.0) / -np.expm1(-540.0 / 110.0), atol=0.03
     )
+
+
+def test_layers_may_rub_most_when_lukewarm():
+    """f = 0.25/K: W exp(−f ΔT) rises to 4 K and falls."""
+    warms = REGISTRY["thermal_drift"](**{"friction_per_k": 0.1, "falls_per_k": 0.25})
+    more = [float(warms.phi((), (jnp.ones(()),), cast(Any, SimpleNamespace(warm=w)))[0]) - 1 for w in (2.0, 4.0, 8.0)]
+    np.testing.assert_allclose(more, [0.2 * np.exp(-0.5), 0.4 * np.exp(-1), 0.8 * np.exp(-2)], rtol=1e-3)
+
+
+def test_grease_may_be_squeezed_where_it_is_bent():
+    kind: Any = REGISTRY["viscous_damping"]
+    stage: Any = SimpleNamespace(alpha2=(1.0, 1.0, 1.0))
+
+    def felt(bent: float, q: float) -> float:
+        return float(kind(damping=0.5, bent=bent).torque((), 0, jnp.asarray(q), jnp.asarray(0.2), stage))
+
+    assert felt(0.0, 0.2) == pytest.approx(0.5 * 0.2)
+    np.testing.assert_allclose([felt(0.75, q) for q in (0.0, 0.1, 0.2)], [0.025, 0.1, 0.325], rtol=1e-6)
 
 
 def test_a_load_beside_the_axis_is_a_load(robot):
