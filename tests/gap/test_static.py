@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from ljjax.data import OCTROBOT
 from ljjax.errors import InputError
 from ljjax.fit.points import Points, collect
+from ljjax.gap import diagnose
+from ljjax.gap.show import show
 from ljjax.gap.static import diagnose_static
 from ljjax.logs import Run, Signal, read_all
 from ljjax.model import replace
 from ljjax.modelfile import ModelFile, load
+from tests.house.readme import blocks, same
 
 P_ATM, ARM, N, HALF = 101_325.0, 0.02, 6, 0.021
 TRUTH = {
@@ -84,9 +90,9 @@ def diagnosed(runs: list[Run], model: ModelFile):
 
 @pytest.fixture(scope="module")
 def octrobot():
-    """OctRobot-I, its second steady data set too."""
+    """OctRobot-I, its second steady data set too, as the demo has it."""
     names = ("identification", "open_loop_stiffness", "steady_tension")
-    return diagnosed(read_all([OCTROBOT / f"{n}.mcap" for n in names]), load(OCTROBOT / "nominal.toml"))
+    return diagnose(None, read_all([OCTROBOT / f"{n}.mcap" for n in names]))
 
 
 def test_the_real_robots_stiffness_saturates_with_pressure(octrobot):
@@ -114,6 +120,13 @@ def test_what_stays_unexplained_is_said(octrobot):
     assert list(octrobot.roles) == ["train", "train", "held_out"]
     (steady,) = (c for c in octrobot.story.channels if c.kind == "steady")
     assert set(steady.points.run) == {0}
+
+
+def test_the_demo_prints_the_diagnosis_shown(octrobot):
+    """In the README."""
+    screen = io.StringIO()
+    show(octrobot, Path("out/demo/gap"), Console(file=screen, highlight=False))
+    same(screen.getvalue().splitlines(), blocks("text")[1].splitlines())
 
 
 def test_it_saves_whole(octrobot, tmp_path):

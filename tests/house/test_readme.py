@@ -9,28 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from ljjax.data import OCTROBOT
-
-ROOT = Path(__file__).parents[2]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-
-
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
-
-
-NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?")
-
-
-def same(printed: list[str], shown: list[str]) -> None:
-    """The same words in the same lines, and numbers that are the same but for the rounding of another machine: by two
-    hundredths, or one in the last digit shown."""
-    bare, expected = ([" ".join(NUMBER.sub("#", line).split()) for line in text] for text in (printed, shown))
-    assert bare == expected
-    for line, other in zip(printed, shown, strict=True):
-        for x, y in zip(NUMBER.findall(line), NUMBER.findall(other), strict=True):
-            digits, _, exponent = y.partition("e")
-            last = 10.0 ** (int(exponent or 0) - len(digits.partition(".")[2]))
-            assert abs(float(x) - float(y)) <= max(0.02 * abs(float(y)), 1.01 * last), f"{line!r}, not {other!r}"
+from tests.house.readme import ROOT, blocks, same
 
 
 def test_the_demo_prints_the_table_shown():
@@ -42,18 +21,6 @@ def test_the_demo_prints_the_table_shown():
     result = fit(None, read_all([OCTROBOT / "identification.mcap", OCTROBOT / "open_loop_stiffness.mcap"]))
     show(result, Path("out/demo/fit"), Console(file=screen, highlight=False))
     same(screen.getvalue().splitlines(), blocks("text")[0].splitlines())
-
-
-def test_the_demo_prints_the_diagnosis_shown():
-    from ljjax.gap import diagnose
-    from ljjax.gap.show import show
-    from ljjax.logs import read_all
-
-    screen = io.StringIO()
-    names = ("identification", "open_loop_stiffness", "steady_tension")
-    result = diagnose(None, read_all([OCTROBOT / f"{name}.mcap" for name in names]))
-    show(result, Path("out/demo/gap"), Console(file=screen, highlight=False))
-    same(screen.getvalue().splitlines(), blocks("text")[1].splitlines())
 
 
 def test_the_python_shown_runs(tmp_path):

@@ -34,7 +34,7 @@ class Nasty:
         return self._asked[self._k // 20 % len(self._asked)]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(asked=st.lists(st.tuples(ANY, ANY, ANY), min_size=1, max_size=12), late=st.floats(0, 0.02), stop=st.floats(0, 3))
 def test_no_tension_above_its_limit_ever(asked: list[tuple[float, float, float]], late: float, stop: float):
     clock = FakeClock(lambda t: late if int(t * 20) % 3 == 0 else 0.0)
