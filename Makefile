@@ -32,7 +32,7 @@ check: .venv/.ready ## formatting, lint and types
 	$(BIN)/pyright
 
 test: check ## everything that must hold, in under 20 minutes on two cores
-	$(BIN)/python -m pytest -n 2 --dist loadfile  # a file stays together: its programs compile once
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder  # a file stays together: its programs compile once
 
 data: .venv/.ready ## make the bundled MCAP logs anew from the published tables
 	$(BIN)/python -m ljjax.data.make_octrobot_logs

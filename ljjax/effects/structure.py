@@ -147,12 +147,12 @@ class BaseTilt(Effect):
         return tuple(x - more + m for x, m in zip(load, moments, strict=True))
 
 
-def _ends(now: Now) -> tuple[Vector, Vector]:
-    """Across and along the unbent body, from each joint to the tip [m]."""
+def _ends(now: Now, beyond: Array | float = 0.0) -> tuple[Vector, Vector]:
+    """Across and along the unbent body, from each joint to the tip, or to a point so far beyond it [m]."""
     n, length = len(now.middle), now.model.chain.half_length_m
     out = []
     for part in (now.sin, now.cos):
-        own = [length * (2.0 if i < n - 1 else 1.0) * x for i, x in enumerate(part)]
+        own = [(2.0 * length if i < n - 1 else length + beyond) * x for i, x in enumerate(part)]
         for i in range(n - 2, -1, -1):
             own[i] = own[i] + own[i + 1]
         out.append(tuple(own))
@@ -160,20 +160,21 @@ def _ends(now: Now) -> tuple[Vector, Vector]:
 
 
 class TipPayload(Effect):
-    """An unmodelled mass m at the tip of a body that hangs: its gravity m g (x_tip − x_i) and its inertia; where it
-    sits beside the axis by e, no further than a load is hung, also the moment m e g cos ψ."""
+    """An unmodelled mass m at the tip of a body that hangs, or held out beyond it by b: its gravity m g (x_m − x_i) and
+    its inertia; where it sits beside the axis by e, no further than a load is hung, also the moment m e g cos ψ."""
 
     id, block, axes = "tip_payload", "structure", ("angle", "rate", "everywhere")
     mass_kg: jax.Array = parameter("kg", 0.0, 0.0, 5.0, 0.02)
     aside_m: jax.Array = shape("m", 0.0, -0.05, 0.05, (-0.02, 0.0, 0.02))
+    beyond_m: jax.Array = shape("m", 0.0, -0.02, 0.2, (0.06, 0.0))
 
     def load(self, memory, load, now):
-        across, _ = _ends(now)
+        across, _ = _ends(now, self.beyond_m)
         aside = self.aside_m * now.cos[-1]
         return tuple(x - GRAVITY * self.mass_kg * (a + aside) for x, a in zip(load, across, strict=True))
 
     def inertia(self, m, now):
-        across, along = _ends(now)
+        across, along = _ends(now, self.beyond_m)
         return tuple(
             tuple(e + self.mass_kg * (along[i] * along[k] + across[i] * across[k]) for k, e in enumerate(row))
             for i, row in enumerate(m)

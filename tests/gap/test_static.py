@@ -45,7 +45,7 @@ def robot(more=lambda theta, p: 0.0 * p, pressures=6, noise_n=0.3, seed=0) -> li
     """A steady log and a probe's, with tensions of `more` N beside the base model's."""
     rng = np.random.default_rng(seed)
     p, theta = (
-        x.ravel() for x in np.meshgrid(np.linspace(0, 40, pressures), np.radians(np.linspace(2, 20, 10)), indexing="ij")
+        x.ravel() for x in np.meshgrid(np.linspace(0, 40, pressures), np.radians(np.linspace(2, 20, 6)), indexing="ij")
     )
     u = (TRUTH["gravity.alpha1"] * np.sin(N * theta) + alpha2(p) * theta) / ARM + more(theta, p)
     u = u + noise_n * rng.normal(size=u.shape)

@@ -382,6 +382,17 @@ def test_a_load_beside_the_axis_is_a_load(robot):
     assert limits(dataclasses.replace(model, effects=(kind(),)))["effects.tip_payload.aside_m"] == (-0.05, 0.05)
 
 
+def test_a_load_may_be_held_out_beyond_the_tip(robot):
+    """Of two joints the second is half a link, the first one and a half, from the tip: b more, for weight and mass."""
+    held: Any = REGISTRY["tip_payload"](**{"mass_kg": 0.1, "beyond_m": 0.06})
+    model, none, one = robot(2), (jnp.zeros(()),) * 2, (jnp.ones(()),) * 2
+    arms = np.array([3.0, 1.0]) * float(model.chain.half_length_m) + 0.06
+    level: Any = SimpleNamespace(model=model, middle=none, sin=one, cos=none)
+    np.testing.assert_allclose(held.load((), none, level), -9.80665 * 0.1 * arms)
+    hung: Any = SimpleNamespace(model=model, middle=none, sin=none, cos=one)
+    np.testing.assert_allclose(held.inertia(((0.0, 0.0), (0.0, 0.0)), hung), 0.1 * np.outer(arms, arms))
+
+
 def test_a_lens_stretches_what_is_off_the_axis():
     """The second of two links that lean alike by 0.25 rad is 0.5 rad off, which counts in full."""
     lens = REGISTRY["sensor_scale"](**{"off_axis": 0.1})
