@@ -167,7 +167,7 @@ class Search:
         robust = 1.4826 * np.median(np.abs(error), axis=0)
         inside = np.abs(error) <= HUBER * robust
         sigma = np.sqrt(np.sum(np.where(inside, error, 0.0) ** 2, axis=0) / np.maximum(inside.sum(axis=0), 1))
-        noise = np.sqrt(np.mean([m.noise**2 for m in self.problem.motions], axis=0))
+        noise = np.sqrt(np.mean([m.seen_noise**2 for m in self.problem.motions], axis=0))
         sigma = np.maximum(sigma, 0.5 * noise + 1e-9)
         weight = np.minimum(1.0, HUBER * sigma / np.maximum(np.abs(error), 1e-300))
         statics = []

@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from ljjax import batch
 from ljjax.fit import native
+from ljjax.fit.windows import Logged
 from ljjax.step import How, advance, constants, in_balance
 
 
@@ -116,26 +117,26 @@ def _constants(model, slopes):
     return _push(constants, (model,), (slopes,))
 
 
-def shoot(joints: bool, model, slopes, *rest):
+def shoot(logged: Logged, model, slopes, *rest):
     """`_shoot` of windows by themselves, with the constants it needs."""
-    return _shoot(joints, False, model, slopes, *_constants(model, slopes), *rest)
+    return _shoot(logged, False, model, slopes, *_constants(model, slopes), *rest)
 
 
-def onward(joints: bool, model, slopes, data) -> tuple[Any, Any, Callable]:
+def onward(logged: Logged, model, slopes, data) -> tuple[Any, Any, Callable]:
     """The starting states of robots from the data, their derivatives, and a function of state, its derivatives, drive
     and step through a window: to the next state, its derivatives, the path (steps + 1, W) and its derivatives."""
-    if native.available() and (found := _native(joints, model, slopes, data)):
+    if native.available() and (found := _native(logged, model, slopes, data)):
         return found
     fixed = model, slopes, *_constants(model, slopes)
 
     def go(state, slope, drive, h):
-        (_, state), (_, slope), *paths = _shoot(joints, True, *fixed, state, slope, drive, h)
+        (_, state), (_, slope), *paths = _shoot(logged, True, *fixed, state, slope, drive, h)
         return state, slope, *jax.tree.map(np.asarray, paths)
 
     return *balance(model, slopes, *data), go
 
 
-def _native(joints: bool, model, slopes, data) -> tuple[Any, Any, Callable] | None:
+def _native(logged: Logged, model, slopes, data) -> tuple[Any, Any, Callable] | None:
     """The same by programs in C; None where they cannot be had. States are rows, known to nobody else."""
     along = np.zeros_like(jax.tree.leaves(slopes)[0])
     along[-1] = 1.0
@@ -148,11 +149,11 @@ def _native(joints: bool, model, slopes, data) -> tuple[Any, Any, Callable] | No
     (c, state), (c_slopes, slope) = (begin.form.unflatten(list(x[..., 0, :])) for x in found)
     kinds = "value", "slope", "value", "slope", "state", "state slope", "drive", "drive"
     given = model, slopes, c, c_slopes, state, slope, data[2], 0.0
-    step = native.program(("step", joints), partial(_step, joints), kinds, given)
+    step = native.program(("step", logged), partial(_step, logged), kinds, given)
     if step is None:
         return None
     value, directed = native.rows(model, c), native.rows(slopes, c_slopes)
-    last = [native.rows(_path(joints, x)) for x in (state, slope)]
+    last = [native.rows(_path(logged, x)) for x in (state, slope)]
 
     def go(state, slope, drive, h):
         state, slope = state.copy(), slope.copy()
@@ -177,23 +178,29 @@ def _begin(model, slopes, data, along):
     return (), (), values, derivatives
 
 
-def _step(joints: bool, model, slopes, c, c_slopes, state, slope, drive, h):
+def _step(logged: Logged, model, slopes, c, c_slopes, state, slope, drive, h):
     """One step of one robot: the next state, its derivatives, and `_path` of both."""
     state, slope = _push(
         lambda m, c, s: advance(m, c, s, drive, h, How(2)), (model, c, state), (slopes, c_slopes, slope)
     )
-    return state, slope, _path(joints, state), _path(joints, slope)
+    return state, slope, _path(logged, state), _path(logged, slope)
 
 
-def _path(joints: bool, state):
-    """(q, v, what is seen − q) of states or of derivatives of states: means, or all joints."""
+def _path(logged: Logged, state):
+    """(q, v, what is seen − q) of states or of derivatives of states: means, or all joints; beside them the tip's turn
+    over the joints' number, where that is logged."""
     seen = () if state.sensed is None else tuple(a - b for a, b in zip(state.sensed, state.q, strict=True))
     path = (state.q, state.v, seen)
-    return path if joints else tuple((sum(x) / len(x),) if x else () for x in path)
+    mean = tuple((sum(x) / len(x),) if x else () for x in path)
+    of_shape = path if logged.joints else mean
+    if not logged.tip:
+        return of_shape
+    tip = (mean[0], mean[1], tuple(0 * x for x in mean[2]))  # as it is, not as the shape's sensor says
+    return tuple(a + b for a, b in zip(of_shape, tip, strict=True))
 
 
 @partial(jax.jit, static_argnums=(0, 1), compiler_options=_options())
-def _shoot(joints: bool, onward: bool, model, slopes, c, c_slopes, state, slope, drive, h):
+def _shoot(logged: Logged, onward: bool, model, slopes, c, c_slopes, state, slope, drive, h):
     """Middles and ends of the windows, the path (q, v, what is seen − q) from start to end, and all derivatives."""
 
     how = How(2 if onward else 3, loops=True)
@@ -213,7 +220,7 @@ def _shoot(joints: bool, onward: bool, model, slopes, c, c_slopes, state, slope,
         full = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, after)
         half = len(drive.left) // 2
         middle_and_end = jax.tree.map(lambda x: x[half - 1 :: half], after)
-        return tuple(jax.tree.map(lambda x, i=i: x[i], middle_and_end) for i in (0, 1)), _path(joints, full)
+        return tuple(jax.tree.map(lambda x, i=i: x[i], middle_and_end) for i in (0, 1)), _path(logged, full)
 
     after, after_slopes = jax.lax.scan(step, (state, slope), drive)[1]
     ends, path = read(state, after)

@@ -107,6 +107,11 @@ class Estimate:
         """(N, c) measured − predicted [rad]."""
         return self.windows.y - self.predicted
 
+    @property
+    def shape_error(self) -> np.ndarray:
+        """(N, c) the same of the shape alone, where the tip is compared beside it."""
+        return self.windows.shape(self.error)
+
     def chi2_by(self, scale: Estimate) -> float:
         """χ² of this estimate by another's scale of residuals, of the same data."""
         out = np.sum(scale.weight * (self.error / scale.sigma) ** 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -22,10 +23,28 @@ def derivatives(request: Request) -> int:
     return jax.tree.leaves(request.slopes)[0].shape[0]
 
 
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """Where samples lie: columns `rows` of what is compared, (N,) window, step in it, fraction of the step, and the
+    samples window by window (`Windows.order_of`)."""
+
+    rows: slice
+    window: np.ndarray
+    step: np.ndarray
+    weight: np.ndarray
+    order: np.ndarray
+    bounds: np.ndarray
+
+    def within(self, window: int) -> np.ndarray:
+        """The samples (an index) that lie in one window."""
+        return self.order[self.bounds[window] : self.bounds[window + 1]]
+
+
 class Samples:
     """Predictions (N, c) and derivatives (N, c, k + 1) at the samples of a request, which `read` fills.
 
-    Where the shape is stamped late a sample shows the path that much earlier, in the window before it if need be.
+    Where the shape is stamped late a sample shows the path that much earlier, in the window before it if need be; what
+    the tip's pose says beside it is not late.
     """
 
     def __init__(self, request: Request):
@@ -35,31 +54,48 @@ class Samples:
         self.jacobian = np.full((*w.y.shape, self.k + 1), np.nan, np.float32 if request.onward else float)
         late = [(float(d), s.latency_s()) for e, s in _effects(request) if (d := e.latency_s()) is not None]
         latency, self.slope = sum(d for d, _ in late), np.asarray(sum(slope for _, slope in late)) if late else None
-        self.window, self.step, self.weight = w.window, w.step, w.weight
+        self.shape = shape = w.shape(w.y).shape[1]
+        every = w.y.shape[1]
+        self.places = [_Places(slice(0, every), w.window, w.step, w.weight, *w.order)]
         if latency:
             place = w.window * STEPS + w.step + w.weight
             opening = (
                 np.maximum.accumulate(np.where(w.opens, np.arange(len(w)), 0)) if request.onward else np.arange(len(w))
             )
             place = np.maximum(place - latency / w.h, opening[w.window] * STEPS)
-            self.window = np.minimum(place // STEPS, w.window).astype(int)
-            self.step = np.minimum(np.floor(place - self.window * STEPS), STEPS - 1).astype(int)
-            self.weight = place - self.window * STEPS - self.step
-        self.order, self.bounds = w.order_of(self.window) if latency else w.order
-
-    def within(self, window: int) -> np.ndarray:
-        """The samples (an index) that lie in one window."""
-        return self.order[self.bounds[window] : self.bounds[window + 1]]
+            window = np.minimum(place // STEPS, w.window).astype(int)
+            step = np.minimum(np.floor(place - window * STEPS), STEPS - 1).astype(int)
+            late_places = _Places(slice(0, shape), window, step, place - window * STEPS - step, *w.order_of(window))
+            self.places = [late_places, replace(self.places[0], rows=slice(shape, every))][: 1 + (every > shape)]
 
 
 def read(samples: Sequence[Samples], lanes: np.ndarray, of: np.ndarray, windows: np.ndarray, path: Any, slopes: Any):
     """Take what lies in these windows of samples (`of` says whose, and does not fall) from these lanes of the paths
     (K + 1, W), where all steps are as long."""
-    (q, v, seen), (dq, dv, dseen) = path, slopes
-    mine = [samples[i].within(w) for i, w in zip(of, windows, strict=True)]
+    for k in range(max(len(s.places) for s in samples)):
+        some = np.flatnonzero([len(samples[i].places) > k for i in of])
+        for rows in {samples[i].places[k].rows.start: samples[i].places[k].rows for i in of[some]}.values():
+            same = some[[samples[i].places[k].rows == rows for i in of[some]]]
+            _read(samples, k, rows, lanes[same], of[same], windows[same], path, slopes)
+
+
+def _read(
+    samples: Sequence[Samples],
+    k: int,
+    rows: slice,
+    lanes: np.ndarray,
+    of: np.ndarray,
+    windows: np.ndarray,
+    path: Any,
+    slopes: Any,
+):
+    """`read` for the `k`-th of the samples' places, which are of these rows."""
+    (q, v, seen), (dq, dv, dseen) = ([x[rows] for x in part] for part in (path, slopes))
+    mine = [samples[i].places[k].within(w) for i, w in zip(of, windows, strict=True)]
     lane = np.repeat(lanes, [len(m) for m in mine])
     steps, w = (
-        np.concatenate([getattr(samples[i], x)[m] for i, m in zip(of, mine, strict=True)]) for x in ("step", "weight")
+        np.concatenate([getattr(samples[i].places[k], x)[m] for i, m in zip(of, mine, strict=True)])
+        for x in ("step", "weight")
     )
     at = steps * q[0].shape[-1] + lane
     after = at + q[0].shape[-1]
@@ -86,13 +122,14 @@ def read(samples: Sequence[Samples], lanes: np.ndarray, of: np.ndarray, windows:
     for i in dict.fromkeys(of.tolist()):
         s, own = samples[i], np.concatenate([m for m, o in zip(mine, of, strict=True) if o == i])
         part = slice(begin, begin := begin + len(own))
-        s.predicted[own] = value[:, part].T
+        s.predicted[own, rows] = value[:, part].T
         keep = slice(None) if derived.shape[1] == s.k + 1 else [*range(s.k), -1]
         slope = derived[:, keep, part].transpose(2, 0, 1)
-        if s.slope is not None:
+        if s.slope is not None and k == 0:
             rate = np.stack([(1 - w[part]) * pick(x, at[part]) + w[part] * pick(x, after[part]) for x in v])
+            rate[s.shape :] = 0.0
             slope[..., :-1] -= rate.T[..., None] * s.slope
-        s.jacobian[own] = slope
+        s.jacobian[own, rows] = slope
 
 
 def _effects(request: Request) -> Any:

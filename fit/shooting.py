@@ -22,7 +22,7 @@ import numpy as np
 from ljjax.fit import native
 from ljjax.fit.kernel import balance, on_all_cores, onward, shoot, tiled
 from ljjax.fit.samples import Samples, derivatives, read
-from ljjax.fit.windows import Windows
+from ljjax.fit.windows import Logged, Windows
 from ljjax.model import Model
 from ljjax.step import Drive, Unrolled
 
@@ -124,13 +124,13 @@ def answer_all(requests: Sequence[Request]) -> list[Answer]:
     split = [_parts(r) for r in requests]
     parts = [part for own in split for part in own]
     for i, r in enumerate(parts):
-        form = jax.tree.structure(r.model), _padded(r), r.windows.y.shape[1] > 1, r.onward, r.windows.h
+        form = jax.tree.structure(r.model), _padded(r), r.windows.logged, r.onward, r.windows.h
         groups.setdefault(form, []).append(i)
     answers: list[Any] = [None] * len(parts)
-    for (_, width, joints, free, _), members in groups.items():
+    for (_, width, logged, free, _), members in groups.items():
         members.sort(key=lambda i: derivatives(parts[i]))  # so that tiles have as many as they need
         asked = [parts[i] for i in members]
-        found = _onward(asked, width, joints) if free else _answer(asked, width, joints)
+        found = _onward(asked, width, logged) if free else _answer(asked, width, logged)
         for i, answer in zip(members, found, strict=True):
             answers[i] = answer
     rest = iter(answers)
@@ -201,14 +201,14 @@ class _Batch:
         every = slice(None)
         return Starts(*tiled(balance, (*self.robots(every), *self.data(every)), TILE))
 
-    def shoot(self, starts: Starts, joints: bool) -> Any:
+    def shoot(self, starts: Starts, logged: Logged) -> Any:
         """All windows from `starts`: middles and ends, path, their derivatives, and `Answer.passed`."""
         every = slice(None)
         (model, slopes), slope = self.robots(every), starts.slope
         slopes = jax.tree.map(lambda x: np.concatenate([x, np.zeros_like(x[:2])]), slopes)
         slope = jax.tree.map(lambda *x: np.concatenate(x), slope, _alike(slope))
         given = model, slopes, starts.state, slope, *self.driven(every)
-        ends, end_slopes, path, path_slopes = tiled(partial(shoot, joints), given, TILE)
+        ends, end_slopes, path, path_slopes = tiled(partial(shoot, logged), given, TILE)
         passed = np.stack([np.stack([y[-2:] for y in x], axis=1) for x in (end_slopes[1].q, end_slopes[1].z)])
         end_slopes, path_slopes = jax.tree.map(lambda s: s[:-2], (end_slopes, path_slopes))
         return ends, end_slopes, path, path_slopes, passed
@@ -229,7 +229,7 @@ def _alike(slope: Unrolled) -> Unrolled:
     return zero._replace(q=turned, z=stretched, sensed=None if zero.sensed is None else turned)
 
 
-def _answer(requests: Sequence[Request], width: int, joints: bool) -> list[Answer]:
+def _answer(requests: Sequence[Request], width: int, logged: Logged) -> list[Answer]:
     batch = _Batch(requests, width)
     used = batch.balance()
     parts = np.cumsum([0, *batch.count])
@@ -239,7 +239,7 @@ def _answer(requests: Sequence[Request], width: int, joints: bool) -> list[Answe
             opening = jax.tree.map(lambda x, a=a, b=b: x[..., a:b], used)
             given.append(opening if r.starts is None else _where(r.windows.opens, opening, r.starts))
         used = jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *given)
-    (middle, end), (middle_slope, end_slope), path, path_slope, passed = batch.shoot(used, joints)
+    (middle, end), (middle_slope, end_slope), path, path_slope, passed = batch.shoot(used, logged)
     samples, every = [Samples(r) for r in requests], np.arange(parts[-1])
     read(samples, every, batch.of, every - parts[batch.of], path, path_slope)
     answers = []
@@ -253,7 +253,7 @@ def _answer(requests: Sequence[Request], width: int, joints: bool) -> list[Answe
     return answers
 
 
-def _onward(requests: Sequence[Request], width: int, joints: bool) -> list[Answer]:
+def _onward(requests: Sequence[Request], width: int, logged: Logged) -> list[Answer]:
     """Free runs, in tiles of many, each through all its windows one after the other; in float32, whose rounding is far
     below any measurement's noise."""
     count = np.array([width or derivatives(r) for r in requests])
@@ -272,14 +272,14 @@ def _onward(requests: Sequence[Request], width: int, joints: bool) -> list[Answe
         at, until = opens[runs], last[runs]
         of, (model, slopes) = batch.of[at], batch.robots(at)
         asked = [*range(count[of].max()), -1]
-        state, slope, shoot_on = onward(joints, model, jax.tree.map(lambda s: s[asked], slopes), batch.data(at))
+        state, slope, shoot_on = onward(logged, model, jax.tree.map(lambda s: s[asked], slopes), batch.data(at))
         for _ in range(int(np.max(until - at)) + 1):
             state, slope, *paths = shoot_on(state, slope, *batch.driven(at))
             mine = np.flatnonzero(real)
             read(samples, mine, of[mine], at[mine] - first[of[mine]], *paths)
             real, at = real & (at < until), np.minimum(at + 1, until)
 
-    form = "onward", jax.tree.structure(batch.model), joints, width, len(batch.q)
+    form = "onward", jax.tree.structure(batch.model), logged, width, len(batch.q)
     on_all_cores(tile, range(0, len(opens), wide), form)
     return [Answer(s.predicted, s.jacobian) for s in samples]
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,16 @@ STEPS = 200
 """Steps in a window, the same for every fit, so that one compilation serves them all."""
 SMOOTH_S = 0.06
 """Half of the stretch of samples that tell the angle and the rate at which a window starts [s]."""
+GAP_S = 0.2
+"""Time without a pose of the tip [s] beyond which a run is taken to have none."""
 Source = Literal["commands", "measured"]
+
+
+class Logged(NamedTuple):
+    """What is compared: every joint's angle or the mean one, and the tip's turn beside it or not."""
+
+    joints: bool
+    tip: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +44,8 @@ class Motion:
         input_t, tendons, vacuum, hold: the inputs, as in `ljjax.inputs.Inputs`.
         warm, worn: (T,) rise of the temperature [K] and slip of the mean joint [rad] at the stamps `t` since the
             robot's first run began; effects ask for them.
+        tip: (T,) the mean angle q_Σ/n [rad] by the tip's pose, which no effect of the shape's sensor touches, and the
+            standard deviation of its white noise; None where it does not count.
     """
 
     run: Run
@@ -51,6 +62,45 @@ class Motion:
     hold: bool
     warm: np.ndarray
     worn: np.ndarray
+    tip: tuple[np.ndarray, float] | None = None
+
+    @property
+    def seen(self) -> np.ndarray:
+        """(T, c) all that a model is compared with [rad]: the shape and, where it counts, the tip beside it."""
+        return self.y if self.tip is None else np.column_stack([self.y, self.tip[0]])
+
+    @property
+    def seen_noise(self) -> np.ndarray:
+        """(c,) standard deviation of the white noise of `seen` [rad]."""
+        return self.noise if self.tip is None else np.append(self.noise, self.tip[1])
+
+
+def with_tips(motions: Sequence[Motion]) -> list[Motion]:
+    """Runs with what the tip's pose says of their mean angle, at the shape's stamps; as they are where not all of them
+    have it or its orientation stays as it is though the shape moves."""
+    tips = [_tip(m) for m in motions]
+    found = [tip for tip in tips if tip is not None]
+    if len(found) < len(tips) or not found:
+        return list(motions)
+    return [replace(m, tip=tip) for m, tip in zip(motions, found, strict=True)]
+
+
+def _tip(m: Motion) -> tuple[np.ndarray, float] | None:
+    """By the orientation's turn about +y, all along the shape's stamps."""
+    if "tip" not in m.run.signals:
+        return None
+    s = m.run.signals["tip"]
+    known = np.all(np.isfinite(s.value), axis=1)
+    if known.sum() < 20 or s.t[known][0] > m.t[0] + GAP_S or s.t[known][-1] < m.t[-1] - GAP_S:
+        return None
+    if np.max(np.diff(s.t[known])) > GAP_S:
+        return None
+    y, w = s.value[known, 4], s.value[known, 6]
+    angle = np.unwrap(2 * np.arctan2(y, w)) / len(m.q0)
+    noise = max(float(white_noise(angle[:, None])[0]), 1e-6)
+    if np.std(angle) < 0.2 * np.std(m.y.mean(axis=1)):
+        return None
+    return np.interp(m.t, s.t[known], angle), noise
 
 
 def motion(run: Run, n: int, source: Source = "commands") -> Motion:
@@ -131,7 +181,7 @@ class Windows:
         h: length of a step [s].
         q, v: (W, n) shape [rad] and rates [rad/s] at each start, from the data; `q_sd` (W,) of the mean angle [rad].
         window, step, weight: (N,) where each sample lies: window, step in it, fraction of the step.
-        y: (N, c) samples [rad]; `sample_run`, `sample_t` (N,) their run and stamp.
+        y: (N, c) samples of `Motion.seen` [rad]; `sample_run`, `sample_t` (N,) their run and stamp.
     """
 
     run: np.ndarray
@@ -156,6 +206,14 @@ class Windows:
 
     def __len__(self) -> int:
         return len(self.run)
+
+    @property
+    def logged(self) -> Logged:
+        return Logged(self.motions[0].y.shape[1] > 1, self.motions[0].tip is not None)
+
+    def shape(self, x: np.ndarray) -> np.ndarray:
+        """The columns of x (N, c) that belong to the shape, not to the tip beside it."""
+        return x[:, : self.motions[0].y.shape[1]]
 
     def some(self, most: int) -> Windows:
         """At most so many of the windows, evenly spread over the runs."""
@@ -243,7 +301,7 @@ def cut(motions: Sequence[Motion], h: float) -> Windows:
             ("window", first + step // STEPS),
             ("step", step % STEPS),
             ("weight", place - step),
-            ("y", m.y),
+            ("y", m.seen),
             ("sample_run", np.full(len(m.t), index)),
             ("sample_t", m.t),
             ("warm", np.interp(edges[:-1], m.t, m.warm).reshape(count, STEPS)),

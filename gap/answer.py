@@ -59,11 +59,11 @@ def answer(inquiry: Inquiry) -> Diagnosis:
 
 
 def _channel(inquiry: Inquiry) -> str:
-    return ANGLE.get(inquiry.base.estimate.windows.y.shape[1], "joints")
+    return ANGLE.get(inquiry.setting.train[0].y.shape[1], "joints")
 
 
 def _gap(inquiry: Inquiry, chosen: Refit, seen: Sequence[Estimate]) -> Gap:
-    """The gap on the unseen runs; its interval from the mean squares of every run."""
+    """The gap on the unseen runs, the tip's too where it counts; its interval from the mean squares of every run."""
     base, setting = inquiry.base, inquiry.setting
     after = seen[1] if chosen is not base else seen[0]
     parts = {"before": [], "after": [], "floor": []}
@@ -73,10 +73,10 @@ def _gap(inquiry: Inquiry, chosen: Refit, seen: Sequence[Estimate]) -> Gap:
             mine = b.windows.sample_run == i
             parts["before"].append(np.mean(b.error[mine] ** 2))
             parts["after"].append(np.mean(a.error[mine] ** 2))
-            parts["floor"].append(np.mean(m.noise**2))
+            parts["floor"].append(np.mean(m.seen_noise**2))
     shares = {name: np.array(x) for name, x in parts.items()}
     before, end, given = (float(np.sqrt(np.mean(e.error**2))) for e in (seen[0], after, seen[-1]))
-    floor = float(np.sqrt(np.mean([np.mean(m.noise**2) for m in setting.test])))
+    floor = float(np.sqrt(np.mean([np.mean(m.seen_noise**2) for m in setting.test])))
     fraction = judge.closed(before, end, floor)
     ci = None
     if fraction is not None and chosen is base:
@@ -87,7 +87,8 @@ def _gap(inquiry: Inquiry, chosen: Refit, seen: Sequence[Estimate]) -> Gap:
         if ci is not None:
             ci = (min(ci[0], fraction), max(ci[1], fraction))
     ids = tuple(m.run.run_id for m in setting.test)
-    return Gap(_channel(inquiry), "rad", before, end, floor, fraction, ci, ids, given)
+    channel = _channel(inquiry) + " and tip" * (setting.test[0].tip is not None)
+    return Gap(channel, "rad", before, end, floor, fraction, ci, ids, given)
 
 
 def _folds(inquiry: Inquiry, chosen: Refit) -> list[Fold]:
@@ -135,11 +136,11 @@ def _where(inquiry: Inquiry, chosen: Refit) -> list[Region]:
             if channel == "theta" and "segment" in axes:
                 joints = _in_joints(inquiry, other)
                 axes = axes if joints is not None else [a for a in axes if a != "segment"]
-            part = other.estimate.predicted - base.estimate.predicted
+            part = base.estimate.windows.shape(other.estimate.predicted - base.estimate.predicted)
             contributions.append(where.Contribution(kind.block, axes, part, joints))
         return where.places(base.estimate, channel, contributions)
     if inquiry.verdict == "unlisted_effect":
-        gap = base.estimate.error
+        gap = base.estimate.shape_error
         flexible = inquiry.evidence.flexible
         place = min(flexible, key=lambda p: flexible[p], default="")
         main = judge.main_of(inquiry.probability, list(inquiry.evidence.left))
@@ -154,7 +155,9 @@ def _in_joints(inquiry: Inquiry, refit: Refit) -> np.ndarray | None:
     None where that cannot be simulated."""
     study, base = inquiry.setting.study, inquiry.base
     n = base.model.n
-    unmeasured = [replace(m, y=np.zeros((len(m.t), n)), noise=np.repeat(m.noise, n)) for m in inquiry.setting.train]
+    unmeasured = [
+        replace(m, y=np.zeros((len(m.t), n)), noise=np.repeat(m.noise, n), tip=None) for m in inquiry.setting.train
+    ]
     before, after = study.predict([base, refit], unmeasured)
     moved = after.predicted - before.predicted
     return moved if np.isfinite(moved).all() else None
@@ -223,7 +226,7 @@ def _left_over(inquiry: Inquiry) -> list[str]:
     colour = screening.colour(estimate.error, estimate.windows.sample_run)
     who = " and ".join(chosen.ids)
     if left > LEFT_OVER and colour > COLOURED:
-        axes = " and ".join(where.loudest(estimate, estimate.error)[:2])
+        axes = " and ".join(where.loudest(estimate, estimate.shape_error)[:2])
         out.append(
             f"with {who} {100 * left:.0f} % of the fitted runs' gap is left, and it is no noise (unevenly spread along "
             f"{axes}): the cause has another form here, or something else is missing too{_pointed(inquiry.evidence)}"
@@ -272,8 +275,8 @@ def _overlay(inquiry: Inquiry, run: Run, chosen: Refit, seen: Sequence[Estimate]
                 mine = estimate.windows.sample_run == i
                 columns = run.signal("shape").columns
                 t = estimate.windows.sample_t[mine]
-                sim = Signal(t, estimate.predicted[mine], columns, "rad", "")
-                residual = Signal(t, estimate.error[mine], columns, "rad", "")
+                sim = Signal(t, estimate.windows.shape(estimate.predicted)[mine], columns, "rad", "")
+                residual = Signal(t, estimate.shape_error[mine], columns, "rad", "")
                 return {"/sim": {"shape": sim}, "/residual": {"shape": residual}}
     return {"/sim": {}, "/residual": {}}
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ljjax.effect import Effect
-from ljjax.effects.varying import WAYS
+from ljjax.effects.varying import ways
 from ljjax.fit.coordinates import without_effects
 from ljjax.model import Model
 
@@ -61,9 +61,9 @@ def either_side(trial: Trial, kinds: Sequence[type[Effect]]) -> list[Trial]:
     return out
 
 
-def still(effect: str) -> dict[str, float]:
+def still(kind: type[Effect]) -> dict[str, float]:
     """By path how an effect that may vary does, where it does not."""
-    return {f"effects.{effect}.{way}": 0.0 for way in WAYS}
+    return {path(kind, way): 0.0 for way in ways(kind)}
 
 
 def universal(model: Model, kinds: Sequence[type[Effect]]) -> Model:

@@ -92,6 +92,7 @@ def planned(study: Study, name: str, what: tuple[str, np.ndarray, np.ndarray]) -
         like,
         t=t,
         y=np.zeros((len(t), like.y.shape[1])),
+        tip=None if like.tip is None else (zero, like.tip[1]),
         q0=np.zeros(n),
         v0=np.zeros(n),
         input_t=t,

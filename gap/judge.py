@@ -52,15 +52,18 @@ ASIDE, SURELY = 0.015, 0.985
 where the gap does not matter: none of 45 fresh robots so told had an effect, or the other of the two."""
 TERMS = 8
 """How many parameters a flexible stand-in is taken to have."""
-MIMICS = frozenset({"actuator_ripple"})
+MIMICS = frozenset({"actuator_ripple", "nonuniform_stiffness"})
 """Effects that do nearly what much outside the library does, so that they are as far ahead of all others as a true
 cause is, and stand-ins of few terms are asked beside them however little they leave: a tendon's ripple over the bend,
-of any length, makes up for a body that snaps in waves over its own."""
+of any length, makes up for a body that snaps in waves over its own; and for what is amiss in one joint of many only a
+stiffness that differs from joint to joint makes up at all."""
 FLOOR = 0.04
 """Relative standard deviation that the noise's variance is taken to have; chosen by hand."""
 KEPT = 0.1
 """The share of unseen runs' gap that true causes may keep, whatever they leave of fitted ones: of 82 fresh robots that
 were named rightly 75 kept less, and none more than 0.19."""
+NEARLY_NONE = 0.25
+"""The share of what one effect leaves that a further one leaves at most, where it takes little of the gap."""
 ALIKE = 1.25
 """Candidates whose leftovers are within this factor cannot be told apart."""
 
@@ -184,8 +187,10 @@ def as_little(least: float, unit: float) -> float:
 
 
 def pairs_worth(first: float, second: float, unit: float) -> bool:
-    """Whether a further effect is worth having: it takes most of what is left, and a share of the gap that matters."""
-    return first - second > max(0.6 * first, 0.1, 15 * unit)
+    """Whether a further effect is worth having: it takes most of what is left, and a share of the gap that matters; a
+    smaller share does where it takes nearly all of what is left, as what mends a form seldom does."""
+    taken = first - second
+    return taken > max(0.6 * first, 0.05, 15 * unit) and (taken > 0.1 or second < NEARLY_NONE * first)
 
 
 def closed(before: float, after: float, floor: float) -> float | None:

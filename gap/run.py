@@ -12,7 +12,7 @@ from ljjax.errors import InputError
 from ljjax.fit.kernel import one_blas_thread
 from ljjax.fit.result import NOMINAL
 from ljjax.fit.run import calm, prepared
-from ljjax.fit.windows import Motion, Source, motion
+from ljjax.fit.windows import Motion, Source, motion, with_tips
 from ljjax.gap.answer import answer
 from ljjax.gap.data import in_order, span, unseen
 from ljjax.gap.inquiry import Inquiry, Setting
@@ -79,6 +79,10 @@ def diagnose(
             raise InputError(f"{still[0]}; and as steady points: {error}" if still else str(error)) from None
     said = list(case.said)
     train, test = _parted(case.problem.motions, held_out, start.model.n, inputs, said)
+    both = with_tips([*train, *test])
+    train, test = both[: len(train)], both[len(train) :]
+    if train[0].tip is not None:
+        said.append("the tip's orientation, logged in all of these runs, counts beside the shape")
     _moves_enough(train)
     kinds = [k for i, k in effects.REGISTRY.items() if i not in without]
     c = case.problem.coordinates

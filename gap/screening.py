@@ -176,8 +176,8 @@ WAVES = np.arange(4.0, 120.0, 0.4)
 def waves(found: Estimate) -> list[float]:
     """Waves over the body's whole bend [1/rad] from which a search may come to any: the `ladder` of this bend and,
     above it, those of which the residuals have most, at three pressures each."""
-    windows, error = found.windows, found.error.mean(axis=1)
-    bend = windows.y.mean(axis=1) * len(found.problem.motions[0].q0)
+    windows, error = found.windows, found.shape_error.mean(axis=1)
+    bend = windows.shape(windows.y).mean(axis=1) * len(found.problem.motions[0].q0)
     pieces = []
     for i, m in enumerate(found.problem.motions):
         mine = np.flatnonzero(windows.sample_run == i)
@@ -226,12 +226,13 @@ def clock(found: Estimate) -> dict[str, float]:
     1 or −1 for one that falls behind or gets ahead of itself, `reset_s` the time between two settings [s], and `phase`,
     the share of it that has gone by when a run begins."""
     w, t = found.windows, found.windows.sample_t
-    rate = np.zeros_like(found.error)
+    error, predicted = found.shape_error, found.windows.shape(found.predicted)
+    rate = np.zeros_like(error)
     for i in np.unique(w.sample_run):
         mine = np.flatnonzero(w.sample_run == i)
         if len(mine) > 2:
-            rate[mine] = np.gradient(found.predicted[mine], t[mine], axis=0)
-    score, weight = -np.sum(found.error * rate, axis=1), np.sum(rate**2, axis=1)
+            rate[mine] = np.gradient(predicted[mine], t[mine], axis=0)
+    score, weight = -np.sum(error * rate, axis=1), np.sum(rate**2, axis=1)
 
     def fitted(*delays: np.ndarray) -> tuple[float, float]:
         """What delays (N,) beside a constant one take away of the squared residuals, and the share of the last one."""

@@ -108,6 +108,15 @@ class Refit:
         return {n: (float(getattr(found, n)), float(s)) for n, s in zip(free, sd, strict=True)}
 
 
+def units(left: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What errors are counted in, and beyond what they count linearly [rad], by what a model leaves (c,) of every
+    channel and its noise (c,) [rad]: as many times the noise in each as is left on the whole, so that a gap in one
+    joint of many counts for what it is."""
+    left = np.maximum(left, noise)
+    unit = noise * np.sqrt(np.mean((left / noise) ** 2))
+    return unit, HUBER * np.maximum(left, unit)
+
+
 @dataclass(eq=False)
 class Study:
     """One robot's training runs, its base parameters and the candidates.
@@ -116,6 +125,7 @@ class Study:
         names: the base's free parameters, by path.
         kinds: the effects on trial.
         noise: (c,) standard deviation of the measurements' white noise [rad].
+        unit, gross: what `units` says of what the refitted base leaves.
     """
 
     start: Model
@@ -128,6 +138,7 @@ class Study:
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     tell: Tell | None = None
     unit: np.ndarray | None = None
+    gross: np.ndarray | None = None
 
     @cached_property
     def windows(self) -> Windows:
@@ -136,7 +147,7 @@ class Study:
 
     @property
     def noise(self) -> np.ndarray:
-        return np.sqrt(np.mean([m.noise**2 for m in self.motions], axis=0))
+        return np.sqrt(np.mean([m.seen_noise**2 for m in self.motions], axis=0))
 
     def base(self) -> Refit:
         """The base refitted from the given model, as `ljjax fit` does but for its last round."""
@@ -146,7 +157,7 @@ class Study:
         (found,) = together([estimate(problem, None, BASE)], self._tell("base"))
         if not isinstance(found, Estimate):
             raise found
-        self.unit = np.maximum(found.sigma, self.noise)
+        self.unit, self.gross = units(found.sigma, self.noise)
         return Refit(Trial(), found, self.loss(found))
 
     def refit(
@@ -211,7 +222,8 @@ class Study:
 
     def varied(self, refits: Sequence[Refit], stage: str) -> list[Refit]:
         """Refits of effects that are let vary (`ljjax.effects.varying`) in this study, from where they were."""
-        trials = [Trial(r.ids, {**still(r.ids[0]), **r.free_effects}) for r in refits]
+        kinds = {k.id: k for k in self.kinds}
+        trials = [Trial(r.ids, {**still(kinds[r.ids[0]]), **r.free_effects}) for r in refits]
         begun = [self._begun(r.model, t) for r, t in zip(refits, trials, strict=True)]
         return self._refit(begun, trials, {}, WHOLE, stage)
 
@@ -245,14 +257,14 @@ class Study:
         return [Refit(t, f, self.loss(f)) for t, f in zip(trials, found, strict=True) if isinstance(f, Estimate)]
 
     def loss(self, found: Estimate) -> np.ndarray:
-        """(R,) squared residuals in units of the base's own, beyond `HUBER` of them counted linearly."""
+        """(R,) what `cost` adds up to in each run."""
         return np.bincount(found.windows.sample_run, self.cost(found.error), len(found.problem.motions))
 
     def cost(self, error: np.ndarray) -> np.ndarray:
-        """(N,) what `loss` adds up, of errors (N, c) [rad]."""
-        assert self.unit is not None
-        x = np.abs(error / self.unit)
-        return np.where(x <= HUBER, x**2, 2 * HUBER * x - HUBER**2).sum(axis=1)
+        """(N,) squares of errors (N, c) [rad] in their unit, gross ones counted linearly."""
+        assert self.unit is not None and self.gross is not None
+        x, most = np.abs(error / self.unit), self.gross / self.unit
+        return np.where(x <= most, x**2, 2 * most * x - most**2).sum(axis=1)
 
     def floor(self, count: int) -> float:
         """What `loss` would be for the measurements' white noise alone, over so many samples."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ljjax.effect import Effect
-from ljjax.effects.varying import PILOTS, varies, varying
+from ljjax.effects.varying import PILOTS, varies, varying, ways
 from ljjax.gap import judge, screening
 from ljjax.gap.candidates import Trial, cautious, either_side, still
 from ljjax.gap.channels import Measured
@@ -33,9 +33,9 @@ HEARD = 3
 ASTRAY, LOST = 0.98, 8
 """A candidate that leaves more than this share of the base's loss has found nothing, or not its way; how many of those
 are begun once more."""
-FURTHER, PAIRS, LEADING = 0.12, 0.25, 5
-"""Shares of the gap, left by one effect, from which the others are begun otherwise and a further one is looked for, and
-from which all pairs of so many leaders are."""
+FURTHER, JOINED, PAIRS, LEADING = 0.12, 0.06, 0.25, 5
+"""Shares of the gap, left by one effect, from which the others are begun otherwise, from which a further one is looked
+for, and from which all pairs of so many leaders are."""
 VARYING, VARIED, NEARBY, HOPELESS, NOTABLY = 3, 0.02, 2.5, 0.9, 0.75
 """How many effects alone are let vary, where the best leaves more than this share of the gap: those that leave no more
 than so many times as much, nor nearly all of it; and the share of what each left that is less by enough."""
@@ -136,16 +136,15 @@ class Selection:
         begun = list(dict.fromkeys(i for pair in zip(*ids, strict=False) for i in pair))[:WIDE]
         least = min((r.total for r in found), default=np.inf)
         found += self._around(screen, begun, max(NEAR * least, self.floor + NEARER * self.excess))
+        found += self._with_care(trials, found)
         if self._least(found) > WELL:
             best: dict[tuple[str, ...], Refit] = {}
             for r in sorted(found, key=lambda r: r.total):
                 best.setdefault(r.ids, r)
             found += self._anew(list(best.values())[:ANEW])
-            if self._least(found) > FURTHER:
-                found += self._with_care(trials, found)
-                if self._least(found) > FURTHER:  # nothing explains it: then of those too that promise nothing
-                    rest = [t for i in screen.ids if i not in begun for t in self._trials_around(screen, i)]
-                    found += self._on_few(rest, found, "from the given model", finish=6)
+            if self._least(found) > FURTHER:  # nothing explains it: then of those too that promise nothing
+                rest = [t for i in screen.ids if i not in begun for t in self._trials_around(screen, i)]
+                found += self._on_few(rest, found, "from the given model", finish=6)
         return found
 
     def _least(self, refits: Sequence[Refit]) -> float:
@@ -159,12 +158,15 @@ class Selection:
 
     def _with_care(self, trials: Sequence[Trial], found: Sequence[Refit]) -> list[Refit]:
         """Effects no form of which has come below `ASTRAY` of the base's loss though they vanish at it: the first step
-        has led them astray, so they are begun once more, at the base and nearer to it."""
-        study = self.study
+        has led them astray, so they are begun once more, at the base and nearer to it; where others explain much, those
+        only that promised as much."""
+        study, screen = self.study, self.screen
         least: dict[str, float] = {}
         for r in found:
             least[r.ids[0]] = min(r.total, least.get(r.ids[0], np.inf))
         lost = [t for t in trials if least.get(t.ids[0], np.inf) > ASTRAY * self.base.total]
+        if self._least(found) < FURTHER:
+            lost = [t for t in lost if screen.gains[screen.best(t.ids[0])] > (1 - NEARER) * self.gap]
         again = [cautious(t, study.kinds) for t in lost[:LOST]]
         return study.refit(self.base.model, again, self.screen, stage="with care", finish=2)
 
@@ -238,7 +240,7 @@ class Selection:
         unit = self.unit_of(found.best)
         while len(found.best.ids) < MOST:
             share = self.left(found.best)
-            if share < max(FURTHER, 15 * unit):
+            if share < max(JOINED, 15 * unit):
                 break
             more = self._further(found.best, unit) if share < NOTABLE else []
             if len(found.best.ids) == 1 and share > PAIRS:
@@ -282,14 +284,14 @@ class Selection:
 
         def forms(kind: type[Effect]) -> list[dict[str, float]]:
             usual = dict(self.screen.forms[self.screen.best(kind.id)])
-            return [{**usual, way: much} for way, much in PILOTS] if kind.id in kinds else [usual]
+            return [{**usual, way: much} for way, much in PILOTS if way in ways(kind)] if kind.id in kinds else [usual]
 
         screen = free.screen(self.base, forms)
         first = [key for key in self._ahead(screen, len(screen.ids)) if key[0] in kinds][:VARYING]
         steps = {}
         for key in first:
             trial, step = free.trial(screen, key)
-            steps[Trial(trial.ids, {**still(key[0]), **trial.start})] = step
+            steps[Trial(trial.ids, {**still(kinds[key[0]]), **trial.start})] = step
         found = free.refit(self.base.model, list(steps), screen, steps, "others that vary", finish=VARYING)
         around = [t for trial in steps for t in either_side(trial, free.kinds)]
         found += free.refit(

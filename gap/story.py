@@ -146,10 +146,12 @@ def _courses(given: Estimate, base: Estimate, extended: Estimate | None, held_ou
     for i, m in enumerate(base.problem.motions):
         mine = base.windows.sample_run == i
         t = base.windows.sample_t[mine]
-        before, after, more = (e.predicted[e.windows.sample_run == i] for e in (given, base, extended or base))
+        before, after, more = (
+            e.windows.shape(e.predicted)[e.windows.sample_run == i] for e in (given, base, extended or base)
+        )
         pressure, angle, direction = (along[axis][mine] for axis in ("pressure", "angle", "direction"))
         models = (before, after, None if extended is None else more)
-        measured = base.windows.y[mine]
+        measured = base.windows.shape(base.windows.y)[mine]
         run = m.run.run_id, held_out, t - t[0], measured
         out.append(Course(*run, *models, m.noise, pressure, angle, direction))
     return out

@@ -31,7 +31,7 @@ def coordinates(found: Estimate) -> dict[str, np.ndarray]:
     """(N,) where each sample lies along every axis but `segment`."""
     windows = found.windows
     motions = found.problem.motions
-    theta = windows.y.mean(axis=1)
+    theta = windows.shape(windows.y).mean(axis=1)
     out = {name: np.zeros(len(theta)) for name in UNITS if name not in ("segment", "everywhere")}
     first = min(m.run.t0_ns for m in motions)
     for i, m in enumerate(motions):

@@ -11,6 +11,7 @@ from jaxtyping import Array
 from ljjax import energy
 from ljjax.effect import Effect, Now, Vector, parameter, shape
 from ljjax.effects.shapes import along, lagged, of_layers, positive, power, towards_base
+from ljjax.model import Model
 
 GRAVITY = 9.80665
 
@@ -150,13 +151,23 @@ class BaseTilt(Effect):
 def _ends(now: Now, beyond: Array | float = 0.0) -> tuple[Vector, Vector]:
     """Across and along the unbent body, from each joint to the tip, or to a point so far beyond it [m]."""
     n, length = len(now.middle), now.model.chain.half_length_m
-    out = []
-    for part in (now.sin, now.cos):
-        own = [(2.0 * length if i < n - 1 else length + beyond) * x for i, x in enumerate(part)]
-        for i in range(n - 2, -1, -1):
-            own[i] = own[i] + own[i + 1]
-        out.append(tuple(own))
-    return out[0], out[1]
+    links = [2.0 * length] * (n - 1) + [length + beyond]
+    return _sums(links, now.sin), _sums(links, now.cos)
+
+
+def _links(model: Model, share: Array) -> list[Array]:
+    """The links' lengths [m] as far as a share of the body's length goes."""
+    n, length = model.n, model.chain.half_length_m
+    reach = share * (2 * n - 1)
+    return [length * jnp.clip(reach - 2 * i, 0.0, 2.0 if i < n - 1 else 1.0) for i in range(n)]
+
+
+def _sums(links: Sequence[Array], part: Vector) -> Vector:
+    """From each joint to the end of the last link, along one axis [m]."""
+    own = [length * x for length, x in zip(links, part, strict=True)]
+    for i in range(len(own) - 2, -1, -1):
+        own[i] = own[i] + own[i + 1]
+    return tuple(own)
 
 
 class TipPayload(Effect):
@@ -227,25 +238,26 @@ CREEP_M_S = 1e-3
 
 class Contact(Effect):
     """One-sided contact, on the side the angle q_c says: an end stop k_c (q − q_c)₊ in every joint, and an obstacle
-    beside the tip, where it is when every joint is at q_c, that pushes back with k_t times the way beyond it and rubs
-    with μ times that, along the unbent body."""
+    beside the tip, or beside what lies a share of the body's length from the base, where that is when every joint is
+    at q_c, that pushes back with k_t times the way beyond it and rubs with μ times that, along the unbent body."""
 
     id, block, axes = "contact", "structure", ("angle",)
     stop: jax.Array = parameter("N·m/rad", 0.0, 0.0, 500.0, 3.0)
     obstacle: jax.Array = parameter("N/m", 0.0, 0.0, 3000.0, 10.0)
     angle_rad: jax.Array = shape("rad", 0.1, -2.0, 2.0, (0.35, -0.35, 0.7, -0.7), "angle")
     rough: jax.Array = shape("1", 0.4, 0.0, 2.0, (0.4,))
+    share: jax.Array = shape("1", 1.0, 0.1, 1.0, (0.5, 1.0))
 
     def torque(self, memory, i, q, v, stage):
         side = jnp.where(self.angle_rad < 0, -1.0 + 0.0 * q, 1.0 + 0.0 * q)
         return self.stop * side * positive(side * (q - self.angle_rad))
 
     def _obstacle(self, now: Now) -> tuple[Array, Vector, Array, Vector]:
-        """The obstacle's force [N] and how far each joint moves the tip towards it [m]; how heavily it damps what goes
-        along the unbent body [N·s/m], and how far each joint moves the tip there [m]."""
-        n, length = len(now.middle), now.model.chain.half_length_m
-        across, along = _ends(now)
-        at = sum((2.0 if i < n - 1 else 1.0) * jnp.sin((i + 1) * self.angle_rad) for i in range(n)) * length
+        """The obstacle's force [N] and how far each joint moves what it touches towards it [m]; how heavily it damps
+        what goes along the unbent body [N·s/m], and how far each joint moves what it touches there [m]."""
+        links = _links(now.model, self.share)
+        across, along = _sums(links, now.sin), _sums(links, now.cos)
+        at = sum(x * jnp.sin((i + 1) * self.angle_rad) for i, x in enumerate(links))
         side = jnp.where(self.angle_rad < 0, -1.0 + 0.0 * at, 1.0 + 0.0 * at)
         force = self.obstacle * positive(side * (across[0] - at))
         slides = sum(a * v for a, v in zip(across, now.v, strict=True))

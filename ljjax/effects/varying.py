@@ -36,6 +36,8 @@ PILOTS = (
     *(("by_sense", much) for much in (1.0, -1.0)),
 )
 """Ways of varying much from which a search begins."""
+AT_THE_SENSOR = ("by_bend", "by_rate", "by_warmth")
+"""The ways in which an effect of sensing may vary: a camera sees the body, not its load nor its vacuum."""
 LEAST = 0.02
 """The share of a stiffness or friction that a varying effect leaves at least."""
 
@@ -120,6 +122,11 @@ def varying(kind: type[Effect]) -> type[Effect]:
     return cast(
         type[Effect], types.new_class(kind.__name__, (_Varying, kind), exec_body=lambda n: n.update(said | hooks))
     )
+
+
+def ways(kind: type[Effect]) -> tuple[str, ...]:
+    """What an effect may vary with."""
+    return AT_THE_SENSOR if kind.block == "sensing" else tuple(WAYS)
 
 
 def varies(kind: type[Effect]) -> bool:

@@ -14,7 +14,7 @@ from ljjax.effects.varying import WAYS
 from ljjax.gap.candidates import Trial, either_side, pilots, sizes
 from ljjax.gap.channels import Channel, Fitted, Measured
 from ljjax.gap.screening import Column, Screen, clock, waves
-from ljjax.gap.search import FIRST, Study
+from ljjax.gap.search import FIRST, Study, units
 from ljjax.gap.selection import Selection
 
 
@@ -26,8 +26,12 @@ def residuals(true: float, noise: float = 0.002) -> Any:
     bend = np.concatenate([1.5 * np.sin(2 * np.pi * k * t / 10) for k in (2, 3)])
     size = np.tile(np.where(t < 5, 0.004, 0.002), 2)
     error = size * np.sin(true * bend + 0.7) + 0.01 * bend**2 + noise * rng.standard_normal(len(bend))
-    windows = SimpleNamespace(y=bend[:, None] / 6, sample_run=np.repeat([0, 1], len(t)), sample_t=np.tile(t, 2))
-    return SimpleNamespace(windows=windows, problem=SimpleNamespace(motions=[motion, motion]), error=error[:, None])
+    windows = SimpleNamespace(
+        y=bend[:, None] / 6, sample_run=np.repeat([0, 1], len(t)), sample_t=np.tile(t, 2), shape=lambda x: x
+    )
+    return SimpleNamespace(
+        windows=windows, problem=SimpleNamespace(motions=[motion, motion]), shape_error=error[:, None]
+    )
 
 
 @pytest.mark.parametrize("true", [9.0, 23.0, 71.0])
@@ -54,8 +58,8 @@ def test_a_clock_that_is_set_now_and_then_is_heard_in_what_goes_with_the_rate(wa
     rate = np.concatenate([0.17 * np.cos(1.7 * t) + 0.155 * np.cos(3.1 * t + k) for k in (0.0, 1.0)])
     late = 0.02 + way * 0.02 * (np.tile((t / reset + phase + 0.5) % 1.0, 2) - 0.5)
     error = 0.002 * rng.standard_normal(len(rate)) - late * rate
-    windows = SimpleNamespace(sample_t=np.tile(t, 2), sample_run=np.repeat([0, 1], len(t)))
-    found: Any = SimpleNamespace(windows=windows, predicted=predicted[:, None], error=error[:, None])
+    windows = SimpleNamespace(sample_t=np.tile(t, 2), sample_run=np.repeat([0, 1], len(t)), shape=lambda x: x)
+    found: Any = SimpleNamespace(windows=windows, predicted=predicted[:, None], shape_error=error[:, None])
     heard = clock(found)
     assert heard["drift"] == way
     assert heard["reset_s"] == pytest.approx(reset, rel=0.05)
@@ -375,3 +379,12 @@ def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_from_
     assert {t.ids for t in begun} == {("contact", k.id) for k in kinds if k.id != "contact"}
     assert all(t.start["effects.contact.stop"] == 7.0 and t.size == 2 for t in begun)
     assert found.best.ids == (("contact", "sensor_bias") if kept else ("contact",))
+
+
+def test_a_gap_in_one_joint_of_six_counts_for_what_it_is():
+    noise = np.full(6, 1e-3)
+    unit, gross = units(np.where(np.arange(6) == 2, 1e-2, 0.9e-3), noise)
+    np.testing.assert_allclose(unit, np.sqrt((5 + 100) / 6) * noise)
+    assert gross[2] > 3.9e-2 and np.all(gross[[0, 1, 3, 4, 5]] >= 4 * unit[0] - 1e-12)
+    alone, _ = units(np.array([1e-2]), noise[:1])
+    np.testing.assert_allclose(alone, [1e-2])

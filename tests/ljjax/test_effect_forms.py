@@ -446,3 +446,16 @@ def test_friction_differs_more_the_more_a_joint_is_bent():
     small, large = (kind(whole=0.5, bent_rad=w).phi(ways, phi, at) for w in (0.002, 1.0))
     np.testing.assert_allclose(small, (3.0, 3.0, 1.0), rtol=1e-3)
     np.testing.assert_allclose(np.subtract(large, 2.0), (0.05, 0.1, -0.1), rtol=1e-2)
+
+
+def test_an_obstacle_beside_the_body_leaves_the_joints_beyond_it_free(robot):
+    contact: Any = REGISTRY["contact"]
+    q = np.array([0.05, 0.03, 0.04])
+    psi, zero = np.cumsum(q), (0.0,) * 3
+    now: Any = SimpleNamespace(model=robot(3), middle=tuple(q), v=zero, sin=tuple(np.sin(psi)), cos=tuple(np.cos(psi)))
+    beside = contact(angle_rad=0.02, obstacle=300.0, rough=0.0, share=0.5)  # half a link beyond the second joint
+    load = np.array(beside.load((), (jnp.zeros(()),) * 3, now))
+    links = 2 * float(robot(3).chain.half_length_m) * np.array([1.0, 0.25])
+    force = 300.0 * (np.sin(psi[:2]) - np.sin([0.02, 0.04])) @ links
+    arms = [np.cos(psi[:2]) @ links, np.cos(psi[1]) * links[1], 0.0]
+    np.testing.assert_allclose(load, -force * np.array(arms), atol=1e-9)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ljjax import modelfile
 from ljjax.effects import REGISTRY, build
-from ljjax.effects.varying import WAYS, varies, varying
+from ljjax.effects.varying import WAYS, varies, varying, ways
 from ljjax.model import get, limits, replace
 from ljjax.modelfile import ModelFile
 from ljjax.simulation import simulate
@@ -38,7 +38,7 @@ def test_an_effect_that_does_not_vary_is_as_it_was(robot):
 
 def test_a_way_to_vary_changes_the_motion_and_has_the_right_derivative(robot):
     """An effect of each hook, all in one model, each varying in one way."""
-    ways = {
+    chosen = {
         "actuator_gain": "by_load",
         "actuator_lag": "by_sense",
         "pressure_lag": "by_rate",
@@ -48,16 +48,16 @@ def test_a_way_to_vary_changes_the_motion_and_has_the_right_derivative(robot):
         "layer_hysteresis": "by_vacuum",
         "sensor_filter": "by_rate",
     }
-    model = with_sizes(robot(3), 1.0, [varying(REGISTRY[effect]) for effect in ways])
+    model = with_sizes(robot(3), 1.0, [varying(REGISTRY[effect]) for effect in chosen])
 
     @jax.jit
     def at(x):
         return seen(
-            replace(model, {f"effects.{i}.{way}": a for (i, way), a in zip(ways.items(), x, strict=True)}), drive()
+            replace(model, {f"effects.{i}.{way}": a for (i, way), a in zip(chosen.items(), x, strict=True)}), drive()
         )
 
-    slope_at, middle, d = jax.jit(lambda x, t: jax.jvp(at, (x,), (t,))[1]), jnp.full(len(ways), 0.4), 1e-5
-    for effect, along in zip(ways, jnp.eye(len(ways)), strict=True):
+    slope_at, middle, d = jax.jit(lambda x, t: jax.jvp(at, (x,), (t,))[1]), jnp.full(len(chosen), 0.4), 1e-5
+    for effect, along in zip(chosen, jnp.eye(len(chosen)), strict=True):
         expected = (at(middle + d * along) - at(middle - d * along)) / (2 * d)
         assert float(jnp.abs(at(middle) - at(middle - 0.4 * along)).max()) > 1e-5, effect
         error = jnp.abs(slope_at(middle, along) - expected).max()
@@ -91,3 +91,8 @@ def test_a_model_file_holds_how_an_effect_varies(tmp_path, robot):
     back = modelfile.load(path).model
     assert float(get(back, "effects.base_tilt.by_load")) == 0.7
     np.testing.assert_allclose(simulate(back, drive()).seen, simulate(model, drive()).seen, atol=1e-13)
+
+
+def test_a_camera_feels_neither_load_nor_vacuum():
+    assert set(ways(REGISTRY["sensor_scale"])) == {"by_bend", "by_rate", "by_warmth"}
+    assert set(ways(REGISTRY["tendon_friction"])) == set(WAYS)
