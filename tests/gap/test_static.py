@@ -12,6 +12,7 @@ import pytest
 from rich.console import Console
 
 from ljjax.data import OCTROBOT
+from ljjax.effects import REGISTRY
 from ljjax.errors import InputError
 from ljjax.fit.points import Points, collect
 from ljjax.gap import diagnose
@@ -31,6 +32,13 @@ TRUTH = {
     "jamming.c4": 10.0,
     "jamming.c5": 3.0,
 }
+NEAR = (
+    *("actuator_gain", "actuator_deadband", "stiffness_saturation", "friction_saturation", "stiffness_hardening"),
+    *("rest_curvature", "base_tilt", "contact", "sensor_bias", "sensor_scale"),
+)
+"""Candidates for the robots made here: what is planted, what is like it, and one or more of each block that shows at
+rest. All 31 together take a minute a robot; the real robot has them all."""
+FAR = tuple(id for id in REGISTRY if id not in NEAR)
 
 
 def alpha2(p: np.ndarray) -> np.ndarray:
@@ -85,7 +93,7 @@ def given(**change: float) -> ModelFile:
 
 def diagnosed(runs: list[Run], model: ModelFile):
     steady, probe, said = collect(runs)
-    return diagnose_static(model, "given.toml", steady, probe, runs, said)
+    return diagnose_static(model, "given.toml", steady, probe, runs, said, without=FAR)
 
 
 @pytest.fixture(scope="module")

@@ -1,17 +1,19 @@
-"""The effects: all there, nothing at their nulls, the derivatives right, in model.toml, and a user's own."""
+"""The effects: all there, nothing at their nulls, the derivatives right, in model.toml, a user's own, and that vary."""
 
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from ljjax import effects, modelfile
-from ljjax.effects import BLOCKS, REGISTRY
+from ljjax.effects import BLOCKS, REGISTRY, build
+from ljjax.effects.varying import WAYS, varies, varying, ways
 from ljjax.errors import InputError
 from ljjax.model import get, limits, replace, units
 from ljjax.modelfile import ModelFile
@@ -32,11 +34,29 @@ WARMING = ("thermal_drift",)
 """Seen only where the temperature rises, which a plain simulation is not told."""
 
 
+def moved(model, paths: list[str]):
+    """What the model shows with values by path, and its derivative by one of them: one program for both, as values
+    alone would take another."""
+    x0 = np.array([float(get(model, path)) for path in paths])
+    pushed = jax.jit(
+        lambda x, t: jax.jvp(lambda x: seen(replace(model, dict(zip(paths, x, strict=True))), drive()), (x,), (t,))
+    )
+
+    def at(values, along=None):
+        x = x0.copy()
+        x[[paths.index(path) for path in values]] = list(values.values())
+        shown, slope = pushed(x, np.array([float(path == along) for path in paths]))
+        return np.asarray(shown), np.asarray(slope)
+
+    return at
+
+
 @pytest.fixture(scope="module")
 def everything(robot):
-    """A robot with all effects at their nulls, and what it shows."""
+    """A robot with all effects at their nulls, `moved` of it, and what it shows."""
     model = dataclasses.replace(robot(3), effects=tuple(kind() for kind in REGISTRY.values()))
-    return model, seen(model, drive())
+    at = moved(model, [f"effects.{e.id}.{name}" for e in model.effects for name in e.fields()])
+    return model, at, at({})[0]
 
 
 def sized(path: str, model) -> dict[str, float]:
@@ -62,28 +82,23 @@ def test_all_31_effects_are_there_in_their_blocks():
 
 
 def test_at_their_nulls_nothing_changes(robot, everything):
-    _, same = everything
-    np.testing.assert_allclose(same, seen(robot(3), drive()), rtol=0, atol=1e-13)  # to rounding
+    np.testing.assert_allclose(everything[2], seen(robot(3), drive()), rtol=0, atol=1e-13)  # to rounding
 
 
 @pytest.mark.parametrize("path", SIZES)
 def test_each_size_changes_the_motion_and_has_the_right_derivative(everything, path):
-    model, plain = everything
+    model, at, plain = everything
     values = sized(path, model)
-    large = replace(model, values)
-    assert float(jnp.abs(seen(large, drive()) - plain).max()) > 1e-4, "it changes nothing"
-    tangent = jax.tree.map(jnp.zeros_like, large)
-    tangent = replace(tangent, {path: 1.0})
-    _, slope = eqx.filter_jvp(seen, (large, drive()), (tangent, jax.tree.map(jnp.zeros_like, drive())))
+    shown, slope = at(values, path)
+    assert float(np.abs(shown - plain).max()) > 1e-4, "it changes nothing"
     d = 1e-5 * values[path]
-    up, down = (seen(replace(large, {path: values[path] + s}), drive()) for s in (d, -d))
-    expected = (up - down) / (2 * d)
+    expected = (at({**values, path: values[path] + d})[0] - at({**values, path: values[path] - d})[0]) / (2 * d)
     error = float(jnp.abs(slope - expected).max())
     assert error < 0.02 * float(jnp.abs(expected).max()) + 1e-9
 
 
 def test_parameters_have_units_bounds_and_paths(everything):
-    model, _ = everything
+    model, *_ = everything
     assert units(model)["effects.actuator_lag.tau_s"] == "s"
     assert float(get(model, "effects.contact.stop")) == 0.0
     for path, (low, high) in limits(model).items():
@@ -92,25 +107,30 @@ def test_parameters_have_units_bounds_and_paths(everything):
         get(model, "effects.actuator_lag.tau")
 
 
+def sensed_late(robot):
+    """Three effects in one model, which two tests share."""
+    given = {
+        "actuator_lag": {"tau_s": 0.07},
+        "sensor_scale": {"error": 0.1, "aside": -0.02, "lens": 0.03},
+        "sensor_bias": {"offset_rad": 0.02, "mode1": 0.01},
+    }
+    return dataclasses.replace(robot(3), effects=tuple(REGISTRY[id](**values) for id, values in given.items()))
+
+
 def test_a_run_starts_where_its_log_does_whatever_the_sensor_adds(robot):
-    scale, bias = (
-        REGISTRY["sensor_scale"](**{"error": 0.1, "aside": -0.02, "lens": 0.03}),
-        REGISTRY["sensor_bias"](**{"offset_rad": 0.02, "mode1": 0.01}),
-    )
-    model = dataclasses.replace(robot(3), effects=(scale, bias))
+    model = sensed_late(robot)
     logged = jnp.array([0.05, 0.02, -0.01])
     start = rest(model, drive(), unsensed(model, logged))
     np.testing.assert_allclose(simulate(model, drive(), initial=start).seen[0], logged, atol=1e-12)
 
 
 def test_a_model_file_holds_effects(tmp_path, robot):
-    lag, bias = REGISTRY["actuator_lag"](**{"tau_s": 0.07}), REGISTRY["sensor_bias"](**{"offset_rad": 0.02})
-    model = dataclasses.replace(robot(3), effects=(lag, bias))
+    model = sensed_late(robot)
     sd = {"effects.actuator_lag.tau_s": 0.003, "elastic.c3": 0.01}
     path = tmp_path / "model.toml"
     path.write_text(modelfile.dumps(ModelFile(model, sd)))
     back = modelfile.load(path)
-    assert [e.id for e in back.model.effects] == ["actuator_lag", "sensor_bias"]
+    assert [e.id for e in back.model.effects] == [e.id for e in model.effects]
     assert float(get(back.model, "effects.actuator_lag.tau_s")) == 0.07
     assert back.uncertainty == sd
     np.testing.assert_allclose(simulate(back.model, drive()).seen, simulate(model, drive()).seen, atol=1e-13)
@@ -157,12 +177,89 @@ def test_a_users_own_effect_needs_no_change_of_the_package(tmp_path, robot):
     path.write_text(text + '\n[[effects]]\nid = "own_spring"\nfile = "own.py"\npush = 0.1\n')
     try:
         model = modelfile.load(path).model
-        pushed = simulate(model, drive()).seen
-        assert float(jnp.abs(pushed - simulate(robot(3), drive()).seen).max()) > 1e-3
+        pushed = seen(model, drive())
+        assert float(jnp.abs(pushed - seen(robot(3), drive())).max()) > 1e-3
         again = tmp_path / "again.toml"
         again.write_text(modelfile.dumps(ModelFile(model)))
-        np.testing.assert_allclose(simulate(modelfile.load(again).model, drive()).seen, pushed)
+        np.testing.assert_allclose(seen(modelfile.load(again).model, drive()), pushed)
     finally:
         REGISTRY.pop("own_spring", None)
     with pytest.raises(InputError, match="this id is taken"):
         effects.register(type("Lag", (REGISTRY["actuator_lag"],), {}))
+
+
+# --- effects that vary
+
+
+def with_sizes(model, share: float, kinds):
+    """The model with these effects, each so large a share of its typical size."""
+    effects = tuple(k(**{n: k.fields()[n]["null"] + share * k.fields()[n]["scale"] for n in k.sizes()}) for k in kinds)
+    return dataclasses.replace(model, effects=effects)
+
+
+def test_an_effect_that_does_not_vary_is_as_it_was(robot, everything):
+    _, at, _ = everything
+    sizes = with_sizes(robot(3), 0.3, REGISTRY.values())
+    plain = at({path: float(get(sizes, path)) for path in limits(sizes) if path.startswith("effects.")})[0]
+    free = seen(with_sizes(robot(3), 0.3, map(varying, REGISTRY.values())), drive())
+    bare = seen(robot(3), drive())
+    assert float(jnp.abs(plain - bare).max()) > 0.01
+    np.testing.assert_allclose(free, plain, rtol=0, atol=1e-11)
+    assert [k.id for k in REGISTRY.values() if not varies(k)] == ["actuator_delay"]
+
+
+def test_a_way_to_vary_changes_the_motion_and_has_the_right_derivative(robot):
+    """An effect of each hook, all in one model, each varying in one way."""
+    chosen = {
+        "actuator_gain": "by_load",
+        "actuator_lag": "by_sense",
+        "pressure_lag": "by_rate",
+        "stiffness_saturation": "by_vacuum",
+        "viscous_damping": "by_bend",
+        "base_tilt": "by_load",
+        "layer_hysteresis": "by_vacuum",
+        "sensor_filter": "by_rate",
+    }
+    model = with_sizes(robot(2), 1.0, [varying(REGISTRY[effect]) for effect in chosen])
+
+    at = moved(model, [f"effects.{effect}.{way}" for effect, way in chosen.items()])
+    middle, d = {f"effects.{effect}.{way}": 0.4 for effect, way in chosen.items()}, 1e-5
+    for path in middle:
+        shown, slope = at(middle, path)
+        expected = (at({**middle, path: 0.4 + d})[0] - at({**middle, path: 0.4 - d})[0]) / (2 * d)
+        assert float(jnp.abs(shown - at({**middle, path: 0.0})[0]).max()) > 1e-5, path
+        assert float(jnp.abs(slope - expected).max()) < 0.02 * float(jnp.abs(expected).max()) + 1e-9, path
+
+
+def test_an_effect_never_turns_round(robot):
+    """However much less of it there is to be: −1 by everything is none at all."""
+    model = with_sizes(robot(3), 1.5, [varying(REGISTRY["base_tilt"])])
+    none = replace(model, {f"effects.base_tilt.{way}": limits(model)[f"effects.base_tilt.{way}"][0] for way in WAYS})
+    some = replace(model, {"effects.base_tilt.by_load": -1.0, "effects.base_tilt.by_vacuum": -1.0})
+    bare, plain = (seen(m, drive()) for m in (robot(3), model))
+    for less in (none, some):
+        assert float(jnp.abs(seen(less, drive()) - bare).max()) < float(jnp.abs(plain - bare).max())
+
+
+def test_a_robot_may_cool():
+    """By any number of kelvin: what it varies with stays between −1 and 1."""
+    kind: Any = varying(REGISTRY["base_tilt"])
+    zero = jnp.zeros(())
+    still: Any = SimpleNamespace(q=(zero,), v=(zero,), vacuum=zero)
+    for warm, expected in ((2.0, 1.5), (-2.0, 0.5), (-1e6, 0.0)):
+        still.warm = jnp.asarray(warm)
+        np.testing.assert_allclose(kind(by_warmth=1.0)._amount(still, zero), expected, atol=1e-5)
+
+
+def test_a_model_file_holds_how_an_effect_varies(tmp_path, robot):
+    model = dataclasses.replace(robot(3), effects=(build("base_tilt", {"tilt_rad": 0.1, "by_load": 0.7}),))
+    path = tmp_path / "model.toml"
+    path.write_text(modelfile.dumps(ModelFile(model)))
+    back = modelfile.load(path).model
+    assert float(get(back, "effects.base_tilt.by_load")) == 0.7
+    np.testing.assert_allclose(seen(back, drive()), seen(model, drive()), atol=1e-13)
+
+
+def test_a_camera_feels_neither_load_nor_vacuum():
+    assert set(ways(REGISTRY["sensor_scale"])) == {"by_bend", "by_rate", "by_warmth"}
+    assert set(ways(REGISTRY["tendon_friction"])) == set(WAYS)

@@ -24,9 +24,9 @@ LEARNED = (
 
 
 @eqx.filter_jit
-def run(model, inputs, initial, at, steps: int, iterations: int = 3):
+def run(model, inputs, initial, at, steps: int):
     h = (at[-1] - at[0]) / steps
-    return fast.run(model, inputs, initial, at, at[0], h, steps, iterations)
+    return fast.run(model, inputs, initial, at, at[0], h, steps, ITERATIONS)
 
 
 def smooth_inputs(end: float = 1.0, n: int = 61, tension: float = 12.0, vacuum: float = 20.0) -> Inputs:
@@ -103,8 +103,8 @@ def test_it_converges_at_second_order_where_the_motion_is_smooth(robot):
         initial = rest(model, inputs) if initial is None else initial
         at = jnp.linspace(0.0, 1.0, 6)
         fine = run(model, inputs, initial, at, 12800)
-        errors = [float(jnp.abs(run(model, inputs, initial, at, k).q - fine.q).max()) for k in (200, 400, 800, 1600)]
-        mean_rate = (errors[0] / errors[-1]) ** (1 / 3)
+        errors = [float(jnp.abs(run(model, inputs, initial, at, k).q - fine.q).max()) for k in (200, 1600)]
+        mean_rate = (errors[0] / errors[1]) ** (1 / 3)  # of three halvings; each number of steps compiles anew
         assert mean_rate > rate, (errors, mean_rate)
 
 
@@ -146,9 +146,9 @@ def test_reverse_and_forward_agree(robot):
 def test_float32_is_as_good_as_its_digits(robot):
     model, inputs = robot(), smooth_inputs()
     initial, at = rest(model, inputs), jnp.asarray(AT)
-    double = run(model, inputs, initial, at, 400, 2)
+    double = run(model, inputs, initial, at, 200)
     model32, inputs32, initial32, at32 = jax.tree.map(lambda x: x.astype(jnp.float32), (model, inputs, initial, at))
-    single = run(model32, inputs32, initial32, at32, 400, 2)
+    single = run(model32, inputs32, initial32, at32, 200)
     assert single.q.dtype == jnp.float32
     np.testing.assert_allclose(single.q, double.q, atol=2e-4)
     assert astype(model, jnp.float32).friction.mu_s.dtype == jnp.float32
@@ -169,8 +169,8 @@ def test_energy_is_never_created_beyond_the_schemes_order(robot):
         assert gained < 1e-3 * float(total[0]) * (200 / steps) ** 2
 
 
-def test_a_batch_is_its_elements(random_robot, random_inputs):
-    inputs, initial = random_inputs(0), State(*(jnp.zeros(3),) * 3)
+def test_a_batch_is_its_elements(random_robot):
+    inputs, initial = smooth_inputs(), State(*(jnp.zeros(3),) * 3)
     models = [random_robot(seed) for seed in range(4)]
     at = jnp.asarray(AT)
     batch = eqx.filter_jit(
@@ -203,12 +203,12 @@ def test_options_of_the_model_hold_here_too(robot, random_inputs):
 
 
 def test_what_cannot_be_done_is_said(robot, random_inputs):
-    model, inputs = robot(), random_inputs(0)
+    model, inputs = robot(), random_inputs(0, torque=True)
     with pytest.raises(InputError, match="step_s is 0"):
         simulate(model, inputs, step_s=0.0)
     with pytest.raises(InputError, match="stamps must be known"):
         jax.jit(lambda at: simulate(model, inputs, at=at).theta)(jnp.asarray(AT))
-    wild = State(jnp.full(3, 1e200), jnp.full(3, 1e200), jnp.zeros(3))
+    wild: dict = {"initial": State(jnp.full(3, 1e200), jnp.full(3, 1e200), jnp.zeros(3)), "at": AT, "step_s": 1e-3}
     with pytest.raises(SolverError, match="fast solver stopped"):
-        simulate(model, inputs, initial=wild)
-    assert not bool(simulate(model, inputs, initial=wild, throw=False).ok)
+        simulate(model, inputs, **wild)
+    assert not bool(simulate(model, inputs, **wild, throw=False).ok)
