@@ -57,7 +57,8 @@ def command(
     for name, residual in overlay["/residual"].items():
         if name == "shape":
             error = np.degrees(residual.value)
-            mean = np.degrees(residual.value.mean(axis=1))
-            rms, largest = np.sqrt(np.mean(mean**2)), np.abs(error).max()
-            print(f"{run.run_id}: theta error {rms:.4g} deg RMS, largest {largest:.4g} deg")
+            mean = error.mean(axis=1)
+            line = f"theta error {np.sqrt(np.mean(mean**2)):.4g} deg RMS, largest {np.abs(mean).max():.4g} deg"
+            joints = f"; of a joint {np.abs(error).max():.4g} deg" if error.shape[1] > 1 else ""
+            print(f"{run.run_id}: {line}{joints}")
     print(f"Written: {out}")

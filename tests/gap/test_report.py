@@ -50,7 +50,7 @@ def estimate(motions: list, joints: int, error: float, seed: int) -> Any:
     t = np.tile(np.linspace(0, 6, SAMPLES), len(motions))
     y = 0.2 * np.sin(t)[:, None] * np.ones(joints) + NOISE * rng.normal(size=(len(t), joints))
     predicted = y + NOISE * rng.normal(size=y.shape) + error * np.cos(t)[:, None]
-    windows = Some(sample_run=np.repeat(np.arange(len(motions)), SAMPLES), sample_t=t, y=y)
+    windows = Some(sample_run=np.repeat(np.arange(len(motions)), SAMPLES), sample_t=t, y=y, shape=lambda x: x)
     names = ("elastic.c3", "friction.mu_c")
     problem = Some(motions=motions, coordinates=Some(names=names))
     return Some(windows=windows, problem=problem, predicted=predicted, error=y - predicted)

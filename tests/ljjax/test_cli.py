@@ -268,6 +268,8 @@ def test_simulate(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     real, sim, residual = (read(out, prefix=prefix).signals["shape"] for prefix in ("/real", "/sim", "/residual"))
     np.testing.assert_array_equal(sim.t, real.t)
     np.testing.assert_allclose(real.value - sim.value, residual.value, atol=1e-15)
+    theta = np.degrees(residual.value.mean(axis=1))
+    assert f"theta error {np.sqrt(np.mean(theta**2)):.4g} deg RMS, largest {np.abs(theta).max():.4g} deg" in said.out
     assert sim.columns == ("theta",) and abs(sim.value[0, 0] - 0.05) < 1e-3 < abs(sim.value[-1, 0] - 0.05)
     assert list(tmp_path.iterdir()) == [out]
 
