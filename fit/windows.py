@@ -96,7 +96,8 @@ def _tip(m: Motion) -> tuple[np.ndarray, float] | None:
     if np.max(np.diff(s.t[known])) > GAP_S:
         return None
     y, w = s.value[known, 4], s.value[known, 6]
-    angle = np.unwrap(2 * np.arctan2(y, w)) / len(m.q0)
+    turn = np.unwrap(2 * np.arctan2(y, w))
+    angle = (turn - 2 * np.pi * np.round(turn[0] / (2 * np.pi))) / len(m.q0)  # −q is the same orientation as q
     noise = max(float(white_noise(angle[:, None])[0]), 1e-6)
     if np.std(angle) < 0.2 * np.std(m.y.mean(axis=1)):
         return None

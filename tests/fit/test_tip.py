@@ -50,6 +50,13 @@ def test_the_tips_turn_counts_where_all_runs_have_it(motions):
         np.testing.assert_array_equal(m.seen[:, :1], m.y)
         assert np.std(m.seen[:, 1] - 1.1 * m.y[:, 0]) == pytest.approx(1e-3, rel=0.1)
         assert m.seen_noise[1] == pytest.approx(np.hypot(1e-3, 1.1 * m.noise[0]), rel=0.2)
+    opposite = [dataclasses.replace(m.run.signals["tip"], value=-m.run.signals["tip"].value) for m in turned]
+    same = [
+        dataclasses.replace(m, run=dataclasses.replace(m.run, signals={**m.run.signals, "tip": tip}))
+        for m, tip in zip(turned, opposite, strict=True)
+    ]
+    for m, other in zip(both, with_tips(same), strict=True):  # −q is the same orientation as q
+        np.testing.assert_allclose(other.seen, m.seen, atol=1e-12)
     some = with_tips([turned[0], motions[1]])  # one without
     still = with_tips([turned[0], posed(motions[1], 0.0 * motions[1].t)])  # an orientation that nobody fills in
     rare = with_tips([turned[0], posed(motions[1], motions[1].y[:, 0], every=60)])
