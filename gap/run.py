@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import jax
 import numpy as np
 
 from ljjax import effects, modelfile
@@ -50,8 +51,10 @@ def diagnose(
         progress: called with a stage's name, how many problems are done, and of how many.
 
     Raises:
-        InputError: no usable data, several robots, too few runs, unknown effects, hardly any motion.
+        InputError: no usable data, several robots, too few runs, unknown effects, hardly any motion, JAX in float32.
     """
+    if jax.dtypes.canonicalize_dtype(float) != np.float64:
+        raise InputError("a diagnosis wants float64: call jax.config.update('jax_enable_x64', True) before JAX is used")
     robots = sorted({r.robot_id for r in (*runs, *held_out)})
     if len(robots) > 1:
         raise InputError(f"logs of {len(robots)} robots ({', '.join(robots)}); diagnose one at a time")

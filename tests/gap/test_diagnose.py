@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
@@ -17,6 +18,8 @@ from benchmarks.recovery.robots import draw
 from benchmarks.recovery.study import model_of
 from ljjax import modelfile
 from ljjax.cli import main
+from ljjax.errors import InputError
+from ljjax.gap import diagnose
 from ljjax.gap.result import LAST
 from ljjax.logs import Writer, read
 from ljjax.modelfile import ModelFile
@@ -195,3 +198,8 @@ def test_bad_input_is_refused_by_name(tmp_path, capsys):
         assert main(["gap", *args]) == 2
         assert said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_single_precision_is_refused_with_the_mend():
+    with jax.enable_x64(False), pytest.raises(InputError, match="jax_enable_x64"):
+        diagnose(None, [])
