@@ -132,8 +132,9 @@ class Selection:
         if self.excess <= judge.OPEN * self.floor:
             return found
         screen = self._from_given = study.screen(self.given)
-        ids = [r.ids[0] for r in sorted(found, key=lambda r: r.total)], [i for i, _ in self._ahead(self.screen, WIDE)]
-        begun = list(dict.fromkeys(i for pair in zip(*ids, strict=False) for i in pair))[:WIDE]
+        best_first = list(dict.fromkeys(r.ids[0] for r in sorted(found, key=lambda r: r.total)))
+        promising = [i for i, _ in self._ahead(self.screen, WIDE)]
+        begun = list(dict.fromkeys(i for both in zip(best_first, promising, strict=False) for i in both))[:WIDE]
         least = min((r.total for r in found), default=np.inf)
         found += self._around(screen, begun, max(NEAR * least, self.floor + NEARER * self.excess))
         found += self._with_care(trials, found)
