@@ -82,6 +82,16 @@ class Refit:
         return {p: float(x) for p, x in values if p.startswith("effects.")}
 
     @cached_property
+    def sides(self) -> tuple[bool, ...]:
+        """Of each effect set free, whether its largest size, by its own scale, has come above where it vanishes."""
+        out = []
+        for e in self.effects:
+            about = e.fields()
+            sizes = [(float(getattr(e, n)) - about[n]["null"]) / about[n]["scale"] for n in e.sizes()]
+            out.append(max(sizes, key=abs, default=0.0) > 0)
+        return tuple(out)
+
+    @cached_property
     def used(self) -> dict[str, int]:
         """How many parameters of each effect are told from their null, or usual value: what it needs, whatever was
         free; all ways in which it varies count for one. One at least."""
@@ -364,9 +374,15 @@ def _seen(search: Search, settle: bool, fitted: Estimate) -> Asking[Estimate]:
 
 
 def _best(refits: Sequence[Refit], count: int) -> list[Refit]:
-    """The best of them, `EACH` of the same effects at most."""
-    ordered = sorted(refits, key=lambda r: r.total)
-    return [r for i, r in enumerate(ordered) if sum(r.ids == s.ids for s in ordered[:i]) < EACH][:count]
+    """The best of them, `EACH` of the same effects at most; the second of these from another side than the first, if
+    there is one, as what came to the same side mostly ends where the first does."""
+    ordered, taken = sorted(refits, key=lambda r: r.total), list[Refit]()
+    for r in ordered:
+        same = [t for t in taken if t.ids == r.ids]
+        other = any(s.ids == r.ids and s.sides != same[0].sides for s in ordered) if same else False
+        if len(taken) < count and len(same) < EACH and (not other or r.sides != same[0].sides):
+            taken.append(r)
+    return taken
 
 
 def _inside(values: Mapping[str, float], within: Mapping[str, tuple[float, float]]) -> dict[str, float]:
