@@ -14,7 +14,7 @@ from ljjax.effects.varying import WAYS
 from ljjax.gap.candidates import Trial, either_side, pilots, sizes
 from ljjax.gap.channels import Channel, Fitted, Measured
 from ljjax.gap.screening import Column, Screen, clock, waves
-from ljjax.gap.search import FIRST, Study, units
+from ljjax.gap.search import FIRST, Study, _best, units
 from ljjax.gap.selection import Selection
 
 
@@ -388,3 +388,15 @@ def test_a_gap_in_one_joint_of_six_counts_for_what_it_is():
     assert gross[2] > 3.9e-2 and np.all(gross[[0, 1, 3, 4, 5]] >= 4 * unit[0] - 1e-12)
     alone, _ = units(np.array([1e-2]), noise[:1])
     np.testing.assert_allclose(alone, [1e-2])
+
+
+def test_of_an_effects_trials_taken_further_the_second_is_from_the_other_side():
+    def trial(effect: str, total: float, above: bool) -> Any:
+        return SimpleNamespace(ids=(effect,), total=total, sides=(above,))
+
+    same, near, other, far = (
+        trial("pressure_bias", *x) for x in ((3.0, False), (3.1, False), (4.0, True), (5.0, True))
+    )
+    tilt, tilted = trial("base_tilt", 3.5, True), trial("base_tilt", 3.6, True)
+    assert _best([far, tilted, tilt, other, near, same], 6) == [same, tilt, tilted, other]  # one side alone: two of it
+    assert _best([far, other, near, same, tilt], 2) == [same, tilt]
