@@ -33,9 +33,9 @@ HEARD = 3
 ASTRAY, LOST = 0.98, 8
 """A candidate that leaves more than this share of the base's loss has found nothing, or not its way; how many of those
 are begun once more."""
-FURTHER, JOINED, PAIRS, LEADING = 0.12, 0.06, 0.25, 5
+FURTHER, JOINED, PAIRS, LEADING, EVERY = 0.12, 0.06, 0.25, 5, 3
 """Shares of the gap, left by one effect, from which the others are begun otherwise, from which a further one is looked
-for, and from which all pairs of so many leaders are."""
+for, and from which all pairs of so many leaders are; and beside how many of these every other effect."""
 VARYING, VARIED, NEARBY, HOPELESS, NOTABLY = 3, 0.02, 2.5, 0.9, 0.75
 """How many effects alone are let vary, where the best leaves more than this share of the gap: those that leave no more
 than so many times as much, nor nearly all of it; and the share of what each left that is less by enough."""
@@ -247,7 +247,7 @@ class Selection:
             if len(found.best.ids) == 1 and share > PAIRS:
                 more += self._pairs(list(left.values()), hopeless=share > OFF)
                 if share < NOTABLE and not any(judge.pairs_worth(share, self.left(r), unit) for r in more):
-                    more += [r for r in self._beside(found.best) if self.left(r) < FURTHER]
+                    more += [r for r in self._beside(sorted(left.values(), key=self.left)) if self.left(r) < FURTHER]
             for r in more:
                 key = tuple(sorted(r.ids))
                 if key not in found.joint or r.total < found.joint[key].total:
@@ -333,15 +333,20 @@ class Selection:
             return self._on_few(both, singles, "pairs", finish=2)
         return self.study.refit(self.study.start, both, self._from_given, stage="pairs", finish=2)
 
-    def _beside(self, best: Refit) -> list[Refit]:
-        """Every other effect beside the best so far, from the given model, on few runs first: what the base's refit was
-        bent to with one effect can hide the other from the screen, and lead it astray."""
-        screen = self._from_given
+    def _beside(self, singles: Sequence[Refit]) -> list[Refit]:
+        """Every other effect beside each of the first `EVERY` in turn, until that explains the runs, from the given
+        model, on few runs first: what the base's refit was bent to with one effect can hide the other from the screen,
+        and lead it astray; and one of two may leave more by itself than a stand-in for both."""
+        screen, out = self._from_given, list[Refit]()
         if screen is None:
-            return []
-        others = [t for i in screen.ids if i not in best.ids for t in self._either_side(screen, screen.best(i))]
-        both = [Trial((*best.ids, *t.ids), {**best.free_effects, **t.start}) for t in others]
-        return self._on_few(both, [best], "every second effect", finish=2)
+            return out
+        for one in singles[:EVERY]:
+            others = [t for i in screen.ids if i not in one.ids for t in self._either_side(screen, screen.best(i))]
+            both = [Trial((*one.ids, *t.ids), {**one.free_effects, **t.start}) for t in others]
+            out += self._on_few(both, [one], "every second effect", finish=2)
+            if any(self.left(r) < FURTHER for r in out):
+                break
+        return out
 
     def _exchange(self, found: Found) -> None:
         """Each of several effects exchanged for those that promise most in its place: what was found first need not be

@@ -125,7 +125,7 @@ def make(case: Case, folder: Path) -> None:
         logs.write(path, robot, i, run, motion, sensing.shape(motion, robot.columns, causes, i), sensors)
     off = 0.0 if case.kind == "controls" else 0.25 if case.kind == "parameters" else 0.2
     values = robot.truth if off == 0 else logs.nominal(robot, rng, off)
-    (new / "model.toml").write_text(logs.model_text(values, robot.columns > 1), encoding="utf-8")
+    (new / "model.toml").write_text(logs.model_text(values, robot.columns == 1), encoding="utf-8")
     label: dict[str, Any] = {
         **asdict(case),
         "numbers": {name: list(map(float, x)) for name, x in causes.items()},

@@ -456,7 +456,7 @@ LISTED = (
     ),
     Cause(
         *("friction_asymmetry", "friction", ("direction",)),
-        (*_alike(0.1, 0.65, _none, _none, _none), Shape(0.1, 0.65, _none, ("angle",)), Shape(0.1, 0.65, _none)),
+        (*_alike(0.1, 0.65, _none, _none, _none), Shape(0.1, 0.65, _none, ("angle",))),
         signed=True,
     ),
     Cause(

@@ -87,14 +87,14 @@ def nominal(robot: Robot, rng: np.random.Generator, off: float) -> dict[str, flo
             return values
 
 
-def model_text(values: Mapping[str, float], free_mass: bool) -> str:
-    """A model.toml."""
+def model_text(values: Mapping[str, float], known_mass: bool) -> str:
+    """A model.toml, whose mass a fit is not to move where it is known."""
     lines = ['schema = "ljjax.model/1"']
     extra = {"chain": "segments = 6", "elastic": 'law = "polynomial"', "jamming": 'law = "sqrt"'}
     extra["friction"] = 'gauge = "sigma0=1"\nsigma0 = 1.0'
     for table in ("chain", "gravity", "elastic", "jamming", "friction"):
         lines += ["", f"[{table}]", *([extra[table]] if table in extra else [])]
         lines += [f"{path.split('.')[1]} = {x:.9g}" for path, x in values.items() if path.startswith(table + ".")]
-    if free_mass:
-        lines += ["", "[fit]", 'free = ["chain.segment_mass_kg"]']
+    if known_mass:
+        lines += ["", "[fit]", 'frozen = ["chain.segment_mass_kg"]']
     return "\n".join(lines) + "\n"

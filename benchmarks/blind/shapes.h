@@ -144,8 +144,8 @@ static double hardened(const double *f, double q, double share) {
 static double lopsided(const double *f, double *loading, double q, double v, double h) {
     if (form(f) == 0) return f[0] * tanh(q / 0.02) * tanh(v / 0.01);
     if (form(f) == 1) return f[0] * tanh(q / 0.002) * tanh(v / 0.002);
-    *loading += clamp(h * fabs(v) / 0.02, 0, 1) * (sign(form(f) == 4 ? v : q * v) - *loading);
-    if (form(f) == 2 || form(f) == 4) return f[0] * *loading;
+    *loading += clamp(h * fabs(v) / 0.02, 0, 1) * (sign(q * v) - *loading);
+    if (form(f) == 2) return f[0] * *loading;
     return 1.4 * f[0] * *loading * q * q / (q * q + 0.0009); /* the more, the more it is bent */
 }
 

@@ -12,35 +12,35 @@ LOAD_N = 10.0
 """Load at which a friction is the same by any power of it."""
 BEND_RAD, EVEN_RAD = 0.1, 1e-4
 """Bend at which a tendon presses as much where it is bent as elsewhere, and below which that counts as even [rad]."""
-TURN_RAD = 0.004
-"""Rotation within which a joint's direction turns round [rad]."""
 
 
 class FrictionAsymmetry(Effect):
     """Loading and unloading rub differently. Where a joint bends further the bristles slip at 1 + a of their bend, and
     their whole torque is 1 + b of what it would be; where it straightens, at 1 − a and 1 − b. Both a and b are times
-    |q|/√(q² + w²), so that for a large w they grow with the bend."""
+    |q|/√(q² + w²), so that for a large w they grow with the bend, and turn round within the rotation x₀ (Dahl's)."""
 
     id, block, axes = "friction_asymmetry", "friction", ("direction", "angle")
     share: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.15)
     whole: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.15)
     bent_rad: jax.Array = shape("rad", 0.015, 0.002, 1.0, (0.08, 0.015))
+    turn_rad: jax.Array = shape("rad", 0.004, 5e-4, 0.2, (0.02, 0.004))
 
     def start(self, now):
         return tuple(0.0 * q for q in now.q)
 
-    def _further(self, memory, now):
-        """From 1 where a joint bends further to −1 where it straightens."""
-        return [way * q / jnp.sqrt(q * q + self.bent_rad * self.bent_rad) for way, q in zip(memory, now.q, strict=True)]
-
     def slip(self, memory, slip, now):
-        return tuple(x * (1 + self.share * w) for x, w in zip(slip, self._further(memory, now), strict=True))
+        return tuple(x * (1 + self.share * further) for x, further in zip(slip, memory, strict=True))
 
     def phi(self, memory, phi, now):
-        return tuple(p * (1 + self.whole * w) for p, w in zip(phi, self._further(memory, now), strict=True))
+        return tuple(p * (1 + self.whole * further) for p, further in zip(phi, memory, strict=True))
 
     def remember(self, memory, now, after):
-        return tuple(turned(way, b - a, TURN_RAD) for way, a, b in zip(memory, now.q, after.q, strict=True))
+        """From 1 where a joint bends further to −1 where it straightens."""
+        bent = [q / jnp.sqrt(q * q + self.bent_rad * self.bent_rad) for q in after.q]
+        return tuple(
+            turned(further, b - a, self.turn_rad, goal=x)
+            for further, a, b, x in zip(memory, now.q, after.q, bent, strict=True)
+        )
 
 
 class LoadDependentFriction(Effect):

@@ -79,12 +79,12 @@ def play(x: Array, width: Array, memory: Vector) -> tuple[Array, Vector]:
     return new, (new, way)
 
 
-def turned(way: Array, moved: Any, width: float | Array, rest: Array | None = None) -> Array:
-    """Direction of motion in [−1, 1] after a way `moved`, turning round within about `width` (Dahl's relay); it fades
-    as if the way `rest` > 0, in no direction, had been gone beside."""
+def turned(way: Array, moved: Any, width: float | Array, rest: Array | None = None, goal: float | Array = 1.0) -> Array:
+    """Direction of motion in [−1, 1], times `goal` in the end, after a way `moved`, turning round within about `width`
+    (Dahl's relay); it fades as if the way `rest` > 0, in no direction, had been gone beside."""
     whole = jnp.abs(moved) if rest is None else jnp.abs(moved) + rest
-    goal = jnp.sign(moved) if rest is None else moved / whole
-    return goal + (way - goal) * jnp.exp(-whole / width)
+    end = goal * (jnp.sign(moved) if rest is None else moved / whole)
+    return end + (way - end) * jnp.exp(-whole / width)
 
 
 def wave(phase: Array, sine: Array, cosine: Array, sine2: Array, cosine2: Array) -> Array:

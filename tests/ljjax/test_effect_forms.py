@@ -440,12 +440,31 @@ def test_what_turns_may_rub_less_the_more_it_is_drawn():
 def test_friction_differs_more_the_more_a_joint_is_bent():
     """Bending further and straightening, at once for a small w, in proportion for a large one."""
     kind: Any = REGISTRY["friction_asymmetry"]
-    bends = tuple(map(jnp.asarray, (0.05, 0.1, 0.1)))
-    ways = tuple(map(jnp.asarray, (1.0, 1.0, -1.0)))
-    at, phi = cast(Any, SimpleNamespace(q=bends)), (jnp.asarray(2.0),) * 3
-    small, large = (kind(whole=0.5, bent_rad=w).phi(ways, phi, at) for w in (0.002, 1.0))
-    np.testing.assert_allclose(small, (3.0, 3.0, 1.0), rtol=1e-3)
-    np.testing.assert_allclose(np.subtract(large, 2.0), (0.05, 0.1, -0.1), rtol=1e-2)
+    before, after = (tuple(map(jnp.asarray, q)) for q in ((0.04, 0.09, 0.11), (0.05, 0.1, 0.1)))
+    here, there, phi = (
+        cast(Any, SimpleNamespace(q=before)),
+        cast(Any, SimpleNamespace(q=after)),
+        (jnp.asarray(2.0),) * 3,
+    )
+
+    def scaled(w: float) -> Any:
+        effect = kind(whole=0.5, bent_rad=w, turn_rad=5e-4)
+        return effect.phi(effect.remember(effect.start(here), here, there), phi, there)
+
+    np.testing.assert_allclose(scaled(0.002), (3.0, 3.0, 1.0), rtol=1e-3)
+    np.testing.assert_allclose(np.subtract(scaled(1.0), 2.0), (0.05, 0.1, -0.1), rtol=1e-2)
+
+
+def test_loading_and_unloading_change_places_within_a_rotation():
+    effect: Any = REGISTRY["friction_asymmetry"](share=0.5, bent_rad=0.002, turn_rad=0.02)  # type: ignore[call-arg]
+    memory, slips = (jnp.asarray(0.0),), []
+    for a, b in ((-0.5, -0.4), (-0.001, 0.01), (0.01, 0.5)):  # straightened, just bent to the other side, bent far
+        before, after = (cast(Any, SimpleNamespace(q=(jnp.asarray(q),))) for q in (a, b))
+        memory = effect.remember(memory, before, after)
+        slips.append(float(effect.slip(memory, (jnp.asarray(1.0),), after)[0]))
+    bent = 0.01 / np.hypot(0.01, 0.002)
+    turning = bent - (1 + bent) * np.exp(-0.011 / 0.02)
+    assert slips == pytest.approx([0.5, 1 + 0.5 * turning, 1.5], abs=5e-3)
 
 
 def test_an_obstacle_beside_the_body_leaves_the_joints_beyond_it_free(robot):
