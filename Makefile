@@ -31,7 +31,7 @@ check: .venv/.ready ## formatting, lint and types
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 
-test: check ## everything that must hold; some half an hour on two cores
+test: check ## everything that must hold; some twenty minutes on two cores
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder  # a file stays together: its programs compile once
 
 data: .venv/.ready ## make the bundled MCAP logs anew from the published tables
