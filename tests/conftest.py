@@ -9,7 +9,7 @@ import jax
 
 from ljjax.cli import start_jax
 
-# Most of the tests' time is XLA's; code that is generated more plainly is there a third sooner. `XLA_FLAGS= make test`
+# Most of the tests' time is XLA's; code that is generated more plainly is there sooner. `XLA_FLAGS= make test`
 # tests what a user's XLA generates by default.
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0")
 if "PYTEST_XDIST_WORKER" not in os.environ:  # what one process compiles the others read; nothing is left behind
