@@ -21,7 +21,7 @@ from benchmarks.recovery.study import model_of
 from ljjax import fast
 from ljjax.cli import start_jax
 from ljjax.effects import BLOCKS, REGISTRY
-from ljjax.effects.varying import WAYS, varying
+from ljjax.effects.varying import ONSET, WAYS, varying
 from ljjax.fit.run import prepared
 from ljjax.fit.shooting import together
 from ljjax.gap.candidates import pilots, universal
@@ -133,6 +133,7 @@ def screened() -> Screen:
 
 def page(found: Screen) -> str:
     """docs/effects.md."""
+    able = varying(REGISTRY["base_tilt"]).fields()
     out = [
         "# Effects",
         "",
@@ -173,7 +174,15 @@ def page(found: Screen) -> str:
         "",
         "| a, null, bounds | g |",
         "|---|---|",
-        *(f"| {_parameter(name, varying(REGISTRY['base_tilt']).fields()[name])} | {g} |" for name, g in WAYS.items()),
+        *(f"| {_parameter(name, able[name])} | {g} |" for name, g in WAYS.items()),
+        "",
+        "What is put on, moved or knocked may begin at a moment of the session, told by the slip S of the mean joint",
+        f"since the first run began ({', '.join(f'`{k.id}`' for k in REGISTRY.values() if k.sudden)}): m is also times",
+        "1 − b (1 − g), g = (1 + tanh((S − S₁)/S₂))/2, so that with b = 1 there is none of it before.",
+        "",
+        "| parameter, null, bounds | |",
+        "|---|---|",
+        *(f"| {_parameter(name, able[name])} | {what} |" for name, what in ONSET.items()),
     ]
     return "\n".join(out) + "\n"
 

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from ljjax import batch
 from ljjax.fit import native
 from ljjax.fit.windows import Logged
-from ljjax.step import How, advance, constants, in_balance
+from ljjax.step import How, advance, constants, in_balance, unsensed
 
 
 @contextlib.contextmanager
@@ -95,9 +95,7 @@ def _push(f: Callable, primals: Any, tangents: Any) -> Any:
 
 def _in_balance(model, q, v, drive):
     """The state of a robot that shows the shape q, and moves at the rate v."""
-    for effect in reversed(model.effects):
-        q = effect.unsense(q)
-    return in_balance(model, q, v, drive)
+    return in_balance(model, unsensed(model, q, v, drive), v, drive)
 
 
 @partial(jax.jit, compiler_options=_quick())

@@ -13,7 +13,7 @@ from ljjax.fit.result import NOMINAL
 from ljjax.gap import judge, screening, where
 from ljjax.gap.data import role_of
 from ljjax.gap.experiment import next_experiment
-from ljjax.gap.inquiry import LEFT_OVER, Inquiry
+from ljjax.gap.inquiry import LEFT_OVER, Inquiry, began, unfixed
 from ljjax.gap.result import Diagnosis, Finding, Fold, Gap, Region
 from ljjax.gap.search import Refit
 from ljjax.gap.stand_ins import BLOCKS
@@ -63,30 +63,37 @@ def _channel(inquiry: Inquiry) -> str:
 
 
 def _gap(inquiry: Inquiry, chosen: Refit, seen: Sequence[Estimate]) -> Gap:
-    """The gap on the unseen runs, the tip's too where it counts; its interval from the mean squares of every run."""
+    """The gap on the unseen runs, the tip's too where it counts; its interval from the mean squares of every run. An
+    unseen run of which the fitted ones do not say whether an effect had begun counts only where there is no other."""
     base, setting = inquiry.base, inquiry.setting
     after = seen[1] if chosen is not base else seen[0]
+    told = ~unfixed(chosen.effects, setting.train, setting.test)
+    told |= not told.any()
     parts = {"before": [], "after": [], "floor": []}
     pairs = (base.estimate, chosen.estimate, setting.train), (seen[0], after, setting.test)
     for b, a, motions in pairs:
         for i, m in enumerate(motions):
+            if motions is setting.test and not told[i]:
+                continue
             mine = b.windows.sample_run == i
             parts["before"].append(np.mean(b.error[mine] ** 2))
             parts["after"].append(np.mean(a.error[mine] ** 2))
             parts["floor"].append(np.mean(m.seen_noise**2))
     shares = {name: np.array(x) for name, x in parts.items()}
-    before, end, given = (float(np.sqrt(np.mean(e.error**2))) for e in (seen[0], after, seen[-1]))
-    floor = float(np.sqrt(np.mean([np.mean(m.seen_noise**2) for m in setting.test])))
+    counted = [m for m, x in zip(setting.test, told, strict=True) if x]
+    before, end, given = (
+        float(np.sqrt(np.mean(e.error[told[e.windows.sample_run]] ** 2))) for e in (seen[0], after, seen[-1])
+    )
+    floor = float(np.sqrt(np.mean([np.mean(m.seen_noise**2) for m in counted])))
     fraction = judge.closed(before, end, floor)
     ci = None
     if fraction is not None and chosen is base:
         fraction, ci = 0.0, (0.0, 0.0)
     elif fraction is not None:
-        count = len(setting.test)
-        ci = judge.interval(shares["before"], shares["after"], shares["floor"], count, setting.rng)
+        ci = judge.interval(shares["before"], shares["after"], shares["floor"], len(counted), setting.rng)
         if ci is not None:
             ci = (min(ci[0], fraction), max(ci[1], fraction))
-    ids = tuple(m.run.run_id for m in setting.test)
+    ids = tuple(m.run.run_id for m in counted)
     channel = _channel(inquiry) + " and tip" * (setting.test[0].tip is not None)
     return Gap(channel, "rad", before, end, floor, fraction, ci, ids, given)
 
@@ -220,8 +227,11 @@ def worse(gap: Gap, chosen: Sequence[str]) -> list[str]:
 
 
 def _left_over(inquiry: Inquiry) -> list[str]:
-    """What the selected effects leave, and conditions to which they do not carry over."""
-    chosen, out = inquiry.chosen, []
+    """When the selected effects begin, what they leave, and conditions to which they do not carry over."""
+    chosen, setting, out = inquiry.chosen, inquiry.setting, []
+    for effect in chosen.effects:
+        if when := began(effect, setting.train, setting.test):
+            out.append(f"{effect.id} begins {when}")
     left, estimate = inquiry.own_left(chosen), chosen.estimate
     colour = screening.colour(estimate.error, estimate.windows.sample_run)
     who = " and ".join(chosen.ids)

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from ljjax.effect import Effect
+from ljjax.effects.varying import ONSET
 from ljjax.fit import folds
 from ljjax.fit.coordinates import without_effects
 from ljjax.fit.windows import Motion
@@ -22,6 +24,8 @@ from ljjax.gap.stand_ins import QUICK, STAND_INS, stand_in
 from ljjax.logs import Run
 from ljjax.modelfile import ModelFile
 
+HALF = 0.5
+"""The share of an effect that begins at a moment from which it is told when."""
 LEFT_OVER, SOME = 0.1, 0.01
 """The share of the gap that is worth telling of where the effects found leave it, and from which stand-ins of few terms
 are asked."""
@@ -54,6 +58,48 @@ class Setting:
     said: list[str]
     study: Study
     warnings: list[str] = field(default_factory=list)
+
+
+def _onset(effect: Effect) -> tuple[float, float] | None:
+    """The slip at which an effect begins, and over which it does [rad]; None where it has always been."""
+    share, at, over = (float(getattr(effect, n, 0.0)) for n in ONSET)
+    return None if share < HALF else (at, over)
+
+
+def unfixed(effects: Sequence[Effect], fitted: Sequence[Motion], others: Sequence[Motion]) -> np.ndarray:
+    """(R,) whether the moment at which one of the effects begins, between two fitted runs, may be before, in or after
+    each of the others: the fitted ones do not say."""
+    out = np.zeros(len(others), bool)
+    for e in effects:
+        if (onset := _onset(e)) is None:
+            continue
+        at, over = onset
+        begin, end = (np.array([m.worn[k] for m in fitted]) for k in (0, -1))
+        if not np.any((begin + over < at) & (at < end - over)):
+            after = max(end[end - over <= at], default=-np.inf)
+            before = min(begin[begin + over >= at], default=np.inf)
+            out |= [after <= m.worn[0] and m.worn[-1] <= before for m in others]
+    return out
+
+
+def began(effect: Effect, fitted: Sequence[Motion], others: Sequence[Motion]) -> str:
+    """When an effect begins, in words; empty where it does not."""
+    if (onset := _onset(effect)) is None:
+        return ""
+    at, _ = onset
+    between = [m.run.run_id for m, x in zip(others, unfixed([effect], fitted, others), strict=True) if x]
+    for m in fitted:
+        if m.worn[0] < at < m.worn[-1] and not between:
+            return f"{np.interp(at, m.worn, m.t) - m.t[0]:.1f} s into {m.run.run_id}"
+    earlier = [m for m in fitted if m.worn.mean() < at]
+    later = [m for m in fitted if m.worn.mean() >= at]
+    said = [f"after {max(earlier, key=lambda m: m.worn[0]).run.run_id}"] if earlier else []
+    said += [f"before {min(later, key=lambda m: m.worn[0]).run.run_id}"] if later else []
+    those = ", ".join(between)
+    doubt = (
+        f" (before, in or after {those} the fitted runs do not say: no error here counts {those})" if between else ""
+    )
+    return " and ".join(said) + doubt
 
 
 class Inquiry:
@@ -152,13 +198,17 @@ class Inquiry:
         return out
 
     def leave_held_out(self, refits: Sequence[Refit]) -> list[float]:
-        """The shares of the gap that refits leave over all runs that no fit has seen; 0 where the base leaves little
-        there, which speaks neither for nor against any."""
+        """The shares of the gap that refits leave over all runs that no fit has seen and of which the others tell; 0
+        where the base leaves little there, which speaks neither for nor against any."""
         study, motions = self.setting.study, self.setting.test
         seen = study.predict([self.base, *refits], motions)
-        before, *after = (float(np.nan_to_num(study.cost(e.error), nan=np.inf).sum()) for e in seen)
-        floor = study.floor(sum(len(m.t) for m in motions))
-        return [(x - floor) / (before - floor) if before > SHOWN * floor else 0.0 for x in after]
+        before, *after = (np.nan_to_num(study.loss(e), nan=np.inf) for e in seen)
+        floor, out = np.array([study.floor(len(m.t)) for m in motions]), []
+        for refit, left in zip(refits, after, strict=True):
+            told = ~unfixed(refit.effects, self.setting.train, motions)
+            least, all_, some = (float(x[told].sum()) for x in (floor, before, left))
+            out.append((some - least) / (all_ - least) if all_ > SHOWN * least else 0.0)
+        return out
 
     def told_elsewhere(self, refits: Sequence[Refit]) -> list[np.ndarray]:
         """(F,) of each refit, how far what its effects do in a fold can be told from the other folds, 0 to 1: they

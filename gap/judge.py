@@ -57,6 +57,10 @@ MIMICS = frozenset({"actuator_ripple", "nonuniform_stiffness"})
 cause is, and stand-ins of few terms are asked beside them however little they leave: a tendon's ripple over the bend,
 of any length, makes up for a body that snaps in waves over its own; and for what is amiss in one joint of many only a
 stiffness that differs from joint to joint makes up at all."""
+STRANGE = 0.1
+"""The share of what `unlisted_effect` is ahead of every listed one by that goes to them all alike: to a listed cause in
+a form that nobody has thought of the data point no more than to what is outside the library. Of 63 fresh robots so
+answered, at 0.89 on average, 13 were that."""
 FLOOR = 0.04
 """Relative standard deviation that the noise's variance is taken to have; chosen by hand."""
 KEPT = 0.1
@@ -138,6 +142,10 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
     for i, w in weight.items():
         surprise = 0.5 if i == "unlisted_effect" else 0.5 / max(len(weight) - 1, 1)
         out[i] += rest * ((1 - by.unforeseen) * w / total + by.unforeseen * surprise)
+    strange = STRANGE * max(out["unlisted_effect"] - max((out[i] for i in e.left), default=1.0), 0.0)
+    for i in e.left:
+        out[i] += strange / len(e.left)
+    out["unlisted_effect"] -= strange
     return out
 
 

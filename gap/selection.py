@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ljjax.effect import Effect
-from ljjax.effects.varying import PILOTS, varies, varying, ways
+from ljjax.effects.varying import PILOTS, onsets, varies, varying, ways
 from ljjax.gap import judge, screening
 from ljjax.gap.candidates import Trial, cautious, either_side, still
 from ljjax.gap.channels import Measured
@@ -39,6 +39,8 @@ for, and from which all pairs of so many leaders are; and beside how many of the
 VARYING, VARIED, NEARBY, HOPELESS, NOTABLY = 3, 0.02, 2.5, 0.9, 0.75
 """How many effects alone are let vary, where the best leaves more than this share of the gap: those that leave no more
 than so many times as much, nor nearly all of it; and the share of what each left that is less by enough."""
+ONSETS = 24
+"""How many moments of the session a sudden effect is tried to begin at, where nothing explains the gap."""
 CLOSE, CLOSER, OFF = 3, 2.0, 0.6
 """How many single effects are taken to their end before they are judged, none that leaves so many times the least, nor
 where that is so large a share of the gap that no effect explains it."""
@@ -275,17 +277,32 @@ class Selection:
             self.study.kinds = free.kinds
             single |= kept
         if self._least(list(single.values())) > FURTHER:
-            self._vary_others(single, kinds)
+            sudden = {k.id: varying(k) if varies(k) else k for k in self.study.kinds if k.sudden}
+            begun = onsets(self.study.span["slip"], ONSETS)
+            self._vary_others(single, sudden, lambda kind: begun, "effects that begin at once")
+        if self._least(list(single.values())) > FURTHER:
+            others = {k.id: varying(k) for k in self.study.kinds if varies(k) and k.id not in kinds}
+            self._vary_others(
+                single,
+                others,
+                lambda kind: [{way: much} for way, much in PILOTS if way in ways(kind)],
+                "others that vary",
+            )
 
-    def _vary_others(self, single: dict[str, Refit], tried: Collection[str]) -> None:
-        """Effects that promise most where they vary, of those not let vary yet: what varies much may do nothing as it
+    def _vary_others(
+        self,
+        single: dict[str, Refit],
+        kinds: Mapping[str, type[Effect]],
+        pilots: Callable[[type[Effect]], list[dict[str, float]]],
+        stage: str,
+    ) -> None:
+        """Effects that promise most where they vary in one of the ways `pilots`: what varies much may do nothing as it
         stands."""
-        kinds = {k.id: varying(k) for k in self.study.kinds if varies(k) and k.id not in tried}
         free = self._free(kinds)
 
         def forms(kind: type[Effect]) -> list[dict[str, float]]:
             usual = dict(self.screen.forms[self.screen.best(kind.id)])
-            return [{**usual, way: much} for way, much in PILOTS if way in ways(kind)] if kind.id in kinds else [usual]
+            return [{**usual, **way} for way in pilots(kind)] if kind.id in kinds else [usual]
 
         screen = free.screen(self.base, forms)
         first = [key for key in self._ahead(screen, len(screen.ids)) if key[0] in kinds][:VARYING]
@@ -293,14 +310,12 @@ class Selection:
         for key in first:
             trial, step = free.trial(screen, key)
             steps[Trial(trial.ids, {**still(kinds[key[0]]), **trial.start})] = step
-        found = free.refit(self.base.model, list(steps), screen, steps, "others that vary", finish=VARYING)
+        found = free.refit(self.base.model, list(steps), screen, steps, stage, finish=VARYING)
         around = [t for trial in steps for t in either_side(trial, free.kinds)]
-        found += free.refit(
-            self.study.start, around, None, stage="others that vary, from the given model", finish=VARYING
-        )
+        found += free.refit(self.study.start, around, None, stage=f"{stage}, from the given model", finish=VARYING)
         if kept := self._better(single, found):
             self.study.kinds = self._free({i: kinds[i] for i in kept}).kinds
-            single |= self._better(single, self.study.varied(list(kept.values()), "others that vary, once more"))
+            single |= self._better(single, self.study.varied(list(kept.values()), f"{stage}, once more"))
 
     def _free(self, kinds: Mapping[str, type[Effect]]) -> Study:
         """The study with these effects in place of those of the same ids."""

@@ -68,10 +68,11 @@ def shape(unit: str, default: float, low: float, high: float, pilots: tuple[floa
     return _field({"unit": unit, "null": default, "low": low, "high": high, "scale": scale, "pilots": pilots, "of": of})
 
 
-def variation(low: float, high: float) -> Any:
-    """How an effect's action varies (`ljjax.effects.varying`), not at all at 0."""
+def variation(low: float, high: float, unit: str = "1", null: float = 0.0) -> Any:
+    """How an effect's action varies (`ljjax.effects.varying`), not at all where those of unit 1 are 0."""
+    scale = 0.3 * (null or 1.0)
     return _field(
-        {"unit": "1", "null": 0.0, "low": low, "high": high, "scale": 0.3, "pilots": (), "of": "", "varies": True}
+        {"unit": unit, "null": null, "low": low, "high": high, "scale": scale, "pilots": (), "of": "", "varies": True}
     )
 
 
@@ -95,6 +96,8 @@ class Effect(eqx.Module):
     axes: ClassVar[tuple[str, ...]] = ("everywhere",)
     modes_of_theta: ClassVar[int] = 0
     """How many of the parameters `mode1`, `mode2` … show where the mean angle alone is logged."""
+    sudden: ClassVar[bool] = False
+    """Whether it may begin or end at a moment: what is put on, moved or knocked."""
     file: ClassVar[str] = ""
     """Where the class was loaded from, if it is not one of the package's."""
 
@@ -140,7 +143,7 @@ class Effect(eqx.Module):
         """Factors on the bristles' bend g(v) at which they slip, one a joint."""
         return slip
 
-    def inertia(self, m: tuple[Vector, ...], now: Now) -> tuple[Vector, ...]:
+    def inertia(self, memory: Memory, m: tuple[Vector, ...], now: Now) -> tuple[Vector, ...]:
         """The lower rows of M [kg·m²], frozen over the step."""
         return m
 
@@ -163,8 +166,9 @@ class Effect(eqx.Module):
         """The joint angles that are logged [rad], from those that are, at the end of a step (`now` its beginning)."""
         return y, memory
 
-    def unsense(self, y: Vector) -> Vector:
-        """The joint angles that are [rad], from those that are logged at rest; where a run starts from its log."""
+    def unsense(self, y: Vector, now: Now | None = None) -> Vector:
+        """The joint angles that are [rad], from those that are logged at rest, where a run starts from its log; `now`
+        has the logged ones for the state, if the inputs are known."""
         return y
 
 

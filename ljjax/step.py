@@ -319,6 +319,14 @@ def in_balance(model: Model, q: Vector, v: Vector, drive: Drive) -> Unrolled:
     return begin(model, q, v, tuple(jnp.clip(z, -limit, limit) for z in free), drive)
 
 
+def unsensed(model: Model, q: Vector, v: Vector, drive: Drive) -> Vector:
+    """The joint angles that are [rad], from those that are logged (q, at the rate v): effects of sensing undone."""
+    now = _now(model, Unrolled(q, v, v), drive, jnp.full_like(drive.left, MOMENT_S))
+    for effect in reversed(model.effects):
+        q = effect.unsense(q, now)
+    return q
+
+
 def begin(model: Model, q: Vector, v: Vector, z: Vector, drive: Drive) -> Unrolled:
     """A state from which to start, with what the effects remember at rest."""
     now = _now(model, Unrolled(q, v, z), drive, jnp.full_like(drive.left, MOMENT_S))
@@ -403,8 +411,8 @@ def advance(model: Model, c: Constants, state: Unrolled, drive: Drive, h: Any, h
     now = now._replace(alpha2=alpha2, phi=phi)
     still = tuple(jnp.zeros_like(x) for x in state.q), tuple(jnp.ones_like(x) for x in state.q)
     m, coriolis = inertia_and_coriolis(how, c, *(still if model.constant_mass else (now.sin, now.cos)), state.v)
-    for effect in model.effects:
-        m = effect.inertia(m, now)
+    for effect, own in zip(model.effects, memory, strict=True):
+        m = effect.inertia(own, m, now)
     slip = None
     if overrides(model.effects, "slip"):
         slip = (jnp.ones_like(alpha2[0]),) * n

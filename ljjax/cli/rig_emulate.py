@@ -115,7 +115,7 @@ def _listen(rig: EmulatedRig) -> None:
 def _with_effects(model: Model, given: tuple[str, ...]) -> Model:
     """The model with effects' parameters set, ID.NAME=VALUE. Raises InputError."""
     from ljjax.effects import REGISTRY, build
-    from ljjax.effects.varying import WAYS
+    from ljjax.effects.varying import varying
     from ljjax.model import check
 
     found: dict[str, dict[str, float]] = {
@@ -124,7 +124,7 @@ def _with_effects(model: Model, given: tuple[str, ...]) -> Model:
     for text in given:
         path, _, value = text.partition("=")
         name, _, parameter = path.partition(".")
-        if name not in REGISTRY or parameter not in {*REGISTRY[name].fields(), *WAYS}:
+        if name not in REGISTRY or parameter not in varying(REGISTRY[name]).fields():
             raise InputError(
                 f"--effects {text}: no such parameter; expected ID.NAME=VALUE, such as actuator_lag.tau_s=0.05"
             )

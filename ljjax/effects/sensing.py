@@ -32,7 +32,7 @@ class SensorScale(Effect):
             out.append((1 + self.error + (self.aside + self.lens * b) * b + self.off_axis * (psi / AXIS_RAD) ** 2) * x)
         return tuple(out), memory
 
-    def unsense(self, y):
+    def unsense(self, y, now=None):
         out, before = [], 0.0
         for x in y:
             q = x / (1 + self.error)
@@ -52,6 +52,7 @@ class SensorBias(Effect):
     the body."""
 
     id, block, axes = "sensor_bias", "sensing", ("everywhere", "segment")
+    sudden = True
     offset_rad: jax.Array = parameter("rad", 0.0, -0.5, 0.5, 0.01)
     mode1: jax.Array = parameter("rad", 0.0, -0.5, 0.5, 0.01)
     mode2: jax.Array = parameter("rad", 0.0, -0.5, 0.5, 0.01)
@@ -66,7 +67,7 @@ class SensorBias(Effect):
     def sense(self, memory, y, now):
         return tuple(x + b for x, b in zip(y, self._offsets(len(y)), strict=True)), memory
 
-    def unsense(self, y):
+    def unsense(self, y, now=None):
         return tuple(x - b for x, b in zip(y, self._offsets(len(y)), strict=True))
 
 

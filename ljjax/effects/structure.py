@@ -103,6 +103,7 @@ class RestCurvature(Effect):
     is elastic (s = 1) or, where the layers were laid straight, of the backbone alone (s = 0)."""
 
     id, block, axes = "rest_curvature", "structure", ("everywhere", "angle", "pressure")
+    sudden = True
     angle_rad: jax.Array = parameter("rad", 0.0, -1.0, 1.0, 0.02)
     mode1: jax.Array = parameter("rad", 0.0, -1.0, 1.0, 0.02)
     mode2: jax.Array = parameter("rad", 0.0, -1.0, 1.0, 0.02)
@@ -138,6 +139,7 @@ class BaseTilt(Effect):
     aside by a force f of its own."""
 
     id, block, axes = "base_tilt", "structure", ("everywhere", "angle", "pressure")
+    sudden = True
     tilt_rad: jax.Array = parameter("rad", 0.0, -1.5, 1.5, 0.15)
     aside_n: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.05)
 
@@ -175,6 +177,7 @@ class TipPayload(Effect):
     its inertia; where it sits beside the axis by e, no further than a load is hung, also the moment m e g cos ψ."""
 
     id, block, axes = "tip_payload", "structure", ("angle", "rate", "everywhere")
+    sudden = True
     mass_kg: jax.Array = parameter("kg", 0.0, 0.0, 5.0, 0.02)
     aside_m: jax.Array = shape("m", 0.0, -0.05, 0.05, (-0.02, 0.0, 0.02))
     beyond_m: jax.Array = shape("m", 0.0, -0.02, 0.2, (0.06, 0.0))
@@ -184,7 +187,7 @@ class TipPayload(Effect):
         aside = self.aside_m * now.cos[-1]
         return tuple(x - GRAVITY * self.mass_kg * (a + aside) for x, a in zip(load, across, strict=True))
 
-    def inertia(self, m, now):
+    def inertia(self, memory, m, now):
         across, along = _ends(now, self.beyond_m)
         return tuple(
             tuple(e + self.mass_kg * (along[i] * along[k] + across[i] * across[k]) for k, e in enumerate(row))
@@ -242,6 +245,7 @@ class Contact(Effect):
     at q_c, that pushes back with k_t times the way beyond it and rubs with μ times that, along the unbent body."""
 
     id, block, axes = "contact", "structure", ("angle",)
+    sudden = True
     stop: jax.Array = parameter("N·m/rad", 0.0, 0.0, 500.0, 3.0)
     obstacle: jax.Array = parameter("N/m", 0.0, 0.0, 3000.0, 10.0)
     angle_rad: jax.Array = shape("rad", 0.1, -2.0, 2.0, (0.35, -0.35, 0.7, -0.7), "angle")
@@ -268,7 +272,7 @@ class Contact(Effect):
         more = rubs * sum(a * v for a, v in zip(across, now.v, strict=True))
         return tuple(x - force * a - more * b for x, a, b in zip(load, along, across, strict=True))
 
-    def inertia(self, m, now):
+    def inertia(self, memory, m, now):
         """What friction becomes by the step's end, as inertia h c aᵀa: it is solved for with the rates, so that a tip
         that sticks is not too much for the step."""
         _, _, rubs, across = self._obstacle(now)

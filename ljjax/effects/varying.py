@@ -6,6 +6,12 @@ say,
     m = (1 + Σ aᵢ gᵢ)₊,
 
 each gᵢ from 0 (at rest and without load) towards 1; warmth and the sense of motion from −1 (cooler, straightening).
+What is put on, moved or knocked (`Effect.sudden`) may change at a moment of the session, told by the slip S of the mean
+joint since the first run began: m is times
+
+    1 − b (1 − g),    g = (1 + tanh((S − S₁)/S₂))/2,
+
+so that with b = 1 there is none of it before.
 """
 
 from __future__ import annotations
@@ -31,11 +37,15 @@ WAYS = {
     "by_sense": f"qv/(abs(qv) + {SENSE_RAD2_S:g} rad²/s), positive where the body bends further",
 }
 """What an effect may vary with, and how."""
+ONSET = {"by_onset": "b", "onset_rad": "S₁", "over_rad": "S₂"}
+"""What says when a sudden effect changes, beside `WAYS`, and its sign; of no account where b is 0."""
 PILOTS = (
     *((way, 8.0) for way in ("by_load", "by_vacuum", "by_bend", "by_rate", "by_warmth")),
     *(("by_sense", much) for much in (1.0, -1.0)),
 )
 """Ways of varying much from which a search begins."""
+BRIEFLY = 0.01
+"""The share of a session's slip over which an effect begins from which a search does."""
 AT_THE_SENSOR = ("by_bend", "by_rate", "by_warmth")
 """The ways in which an effect of sensing may vary: a camera sees the body, not its load nor its vacuum."""
 LEAST = 0.02
@@ -50,8 +60,8 @@ class _Varying(Effect):
     by_warmth: Array = variation(-1.0, 20.0)
     by_sense: Array = variation(-1.0, 1.0)
 
-    def _amount(self, now: Now, load: Array) -> Array:
-        """m of a step under a load [N]."""
+    def _amount(self, memory: Memory, now: Now, load: Array) -> Array:
+        """m of a step under a load [N]; in memory the slip so far [rad], where the effect is sudden."""
         n = len(now.q)
         bend, rate = sum(now.q) / n, sum(now.v) / n
         turn = bend * rate
@@ -63,7 +73,20 @@ class _Varying(Effect):
             (self.by_warmth, now.warm / (jnp.abs(now.warm) + WARMTH_K)),
             (self.by_sense, turn / (jnp.abs(turn) + SENSE_RAD2_S)),
         )
-        return jnp.maximum(1 + sum(a * g for a, g in share), 0.0)
+        return jnp.maximum(1 + sum(a * g for a, g in share), 0.0) * self._begun(memory)
+
+    def _begun(self, memory: Memory) -> Array | float:
+        """The share of it that is there yet, by the slip so far in memory."""
+        return 1.0
+
+
+class _Sudden(_Varying):
+    by_onset: Array = variation(-20.0, 1.0)
+    onset_rad: Array = variation(-1e3, 1e5, "rad", 10.0)
+    over_rad: Array = variation(1e-3, 1e3, "rad", 0.1)
+
+    def _begun(self, memory: Memory) -> Array:
+        return 1 - 0.5 * self.by_onset * (1 - jnp.tanh((memory[0] - self.onset_rad) / self.over_rad))
 
 
 @cache
@@ -77,20 +100,22 @@ def varying(kind: type[Effect]) -> type[Effect]:
         return kind(**{n: getattr(self, n) * m if n in sizes else getattr(self, n) for n in kind.fields()})
 
     def start(self: Any, now: Now) -> Memory:
-        m = self._amount(now, now.u[0] + now.u[1])
-        return at(self, m).start(now), m
+        slip = (now.worn,) if kind.sudden else ()
+        m = self._amount(slip, now, now.u[0] + now.u[1])
+        return at(self, m).start(now), m, *slip
 
     def actuate(self: Any, memory: Memory, u: Vector, now: Now) -> tuple[Vector, Memory]:
-        inner, m = memory[0], self._amount(now, u[0] + u[1])
+        inner, _, *slip = memory
+        m = self._amount(slip, now, u[0] + u[1])
         if "start" in has or "actuate" not in has:
             u, inner = at(self, m).actuate(inner, u, now)
         else:  # each tendon by its own load
-            u = tuple(at(self, self._amount(now, x)).actuate(inner, u, now)[0][i] for i, x in enumerate(u))
-        return tuple(jnp.maximum(x, 0.0) for x in u), (inner, m)
+            u = tuple(at(self, self._amount(slip, now, x)).actuate(inner, u, now)[0][i] for i, x in enumerate(u))
+        return tuple(jnp.maximum(x, 0.0) for x in u), (inner, m, *slip)
 
     def evacuate(self: Any, memory: Memory, vacuum: Array, now: Now) -> tuple[Array, Memory]:
         vacuum, inner = at(self, memory[1]).evacuate(memory[0], vacuum, now)
-        return jnp.maximum(vacuum, 0.0), (inner, memory[1])
+        return jnp.maximum(vacuum, 0.0), (inner, *memory[1:])
 
     def scaled(name: str) -> Callable:
         def hook(self: Any, memory: Memory, x: Vector, now: Now) -> Vector:
@@ -99,8 +124,8 @@ def varying(kind: type[Effect]) -> type[Effect]:
 
         return hook
 
-    def inertia(self: Any, m: tuple[Vector, ...], now: Now) -> tuple[Vector, ...]:
-        return at(self, self._amount(now, now.u[0] + now.u[1])).inertia(m, now)
+    def inertia(self: Any, memory: Memory, m: tuple[Vector, ...], now: Now) -> tuple[Vector, ...]:
+        return at(self, memory[1]).inertia(memory[0], m, now)
 
     def load(self: Any, memory: Memory, load: Vector, now: Now) -> Vector:
         return at(self, memory[1]).load(memory[0], load, now)
@@ -109,24 +134,44 @@ def varying(kind: type[Effect]) -> type[Effect]:
         return at(self, memory[1]).torque(memory[0], i, q, v, stage)
 
     def remember(self: Any, memory: Memory, now: Now, after: Any) -> Memory:
-        return at(self, memory[1]).remember(memory[0], now, after), memory[1]
+        inner, m, *slip = memory
+        moved = sum(jnp.abs(b - a) for a, b in zip(now.q, after.q, strict=True)) / len(now.q)
+        return at(self, m).remember(inner, now, after), m, *(s + moved for s in slip)
 
     def sense(self: Any, memory: Memory, y: Vector, now: Now) -> tuple[Vector, Memory]:
         y, inner = at(self, memory[1]).sense(memory[0], y, now)
-        return y, (inner, memory[1])
+        return y, (inner, *memory[1:])
+
+    def unsense(self: Any, y: Vector, now: Now | None = None) -> Vector:
+        if now is None:
+            return kind.unsense(self, y)
+        slip = (now.worn,) if kind.sudden else ()
+        return at(self, self._amount(slip, now, now.u[0] + now.u[1])).unsense(y, now)
 
     own = {"evacuate": evacuate, "load": load, "torque": torque, "remember": remember, "sense": sense}
-    own |= {"inertia": inertia, **{name: scaled(name) for name in ("alpha2", "phi", "slip")}}
+    own |= {"unsense": unsense, "inertia": inertia, **{name: scaled(name) for name in ("alpha2", "phi", "slip")}}
     hooks = {"start": start, "actuate": actuate, **{name: hook for name, hook in own.items() if name in has}}
+    hooks |= {"remember": remember} if kind.sudden else {}
     said = {"__module__": kind.__module__, "__doc__": kind.__doc__}
     return cast(
-        type[Effect], types.new_class(kind.__name__, (_Varying, kind), exec_body=lambda n: n.update(said | hooks))
+        type[Effect],
+        types.new_class(
+            kind.__name__, (_Sudden if kind.sudden else _Varying, kind), exec_body=lambda n: n.update(said | hooks)
+        ),
     )
 
 
 def ways(kind: type[Effect]) -> tuple[str, ...]:
-    """What an effect may vary with."""
+    """What an effect may vary with, but for its onset."""
     return AT_THE_SENSOR if kind.block == "sensing" else tuple(WAYS)
+
+
+def onsets(slip_rad: float, count: int) -> list[dict[str, float]]:
+    """Beginnings from which a search begins, over a session of so much slip."""
+    return [
+        {"by_onset": 1.0, "onset_rad": (k + 0.5) / count * slip_rad, "over_rad": BRIEFLY * slip_rad}
+        for k in range(count)
+    ]
 
 
 def varies(kind: type[Effect]) -> bool:

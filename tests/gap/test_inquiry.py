@@ -10,27 +10,29 @@ import numpy as np
 import pytest
 
 from ljjax.effects.structure import BaseTilt, Contact
+from ljjax.effects.varying import varying
 from ljjax.fit.run import prepared
 from ljjax.gap.answer import _left_over
 from ljjax.gap.candidates import Trial
 from ljjax.gap.data import in_order, span
-from ljjax.gap.inquiry import Inquiry
+from ljjax.gap.inquiry import Inquiry, began, unfixed
 from ljjax.gap.search import Study
+from ljjax.gap.selection import Selection
 from ljjax.gap.stand_ins import QUICK, STAND_INS
 from tests.fit.test_dynamic import guess, logged, robot
 
 
 def inquiry(*effects: Any) -> Inquiry:
-    """Into three runs of a robot with these effects, what is asked of it left out."""
-    model = dataclasses.replace(robot(), effects=effects)
+    """Into three runs of a robot with an effect in each, what is asked of it left out."""
     start = guess(robot())
-    case = prepared(start, "nominal.toml", [logged(model, s) for s in range(3)], (), start.frozen, "commands")
+    given = [logged(dataclasses.replace(robot(), effects=(e,)), s) for s, e in enumerate(effects)]
+    case = prepared(start, "nominal.toml", given, (), start.frozen, "commands")
     assert not isinstance(case, list)
     runs, c = in_order(case.problem.motions), case.problem.coordinates
     kinds = (Contact, BaseTilt)
     study = Study(start.model, c.names, kinds, runs, c.pressure, span(runs), start.bounds, start.priors)
     asked: Any = Inquiry.__new__(Inquiry)
-    asked.setting, asked.base = SimpleNamespace(study=study, train=runs), study.base()
+    asked.setting, asked.base = SimpleNamespace(study=study, train=runs, test=()), study.base()
     floor = study.floor(sum(len(m.t) for m in runs))
     gap = asked.base.total - floor
     asked.selection = SimpleNamespace(gap=gap, own_left=lambda refit: (refit.total - floor) / gap)
@@ -44,7 +46,7 @@ def touched() -> tuple[Inquiry, float]:
     bends = sorted(float(logged(robot(), s).signals["shape"].value.mean(axis=1).max()) for s in range(3))
     angle = bends[1] + 0.4 * (bends[2] - bends[1])
     make: Any = Contact
-    return inquiry(make(stop=20.0, angle_rad=angle)), angle
+    return inquiry(*[make(stop=20.0, angle_rad=angle)] * 3), angle
 
 
 @pytest.mark.parametrize(
@@ -103,3 +105,54 @@ def test_runs_that_no_fit_saw_are_asked_only_where_they_show_the_gap(touched):
     quiet = int(np.argmin(asked.base.loss))
     asked.setting.test = [asked.setting.train[quiet]]
     assert asked.leave_held_out([refit]) == [0.0]
+
+
+IN_DOUBT = " (before, in or after {0} the fitted runs do not say: no error here counts {0})"
+
+
+@pytest.mark.parametrize(
+    ("onset", "share", "untold", "said"),
+    [
+        (1.5, 1.0, [True, False], f"after a and before c{IN_DOUBT.format('b')}"),
+        (2.9, 1.0, [True, False], f"after a and before c{IN_DOUBT.format('b')}"),
+        (0.5, 1.0, [False, False], "5.0 s into a"),
+        (5.5, 1.0, [False, True], f"after d{IN_DOUBT.format('e')}"),
+        (1.5, 0.0, [False, False], ""),  # it does not begin
+    ],
+)
+def test_what_begins_between_fitted_runs_is_not_told_of_those_in_between(onset, share, untold, said):
+    def slipped(run_id: str, first: float) -> Any:
+        t = np.linspace(2.0, 12.0, 11)
+        return SimpleNamespace(worn=np.linspace(first, first + 1, 11), t=t, run=SimpleNamespace(run_id=run_id))
+
+    kind: Any = varying(BaseTilt)
+    begun = kind(tilt_rad=0.01, by_onset=share, onset_rad=onset, over_rad=0.05)
+    fitted = [slipped(i, x) for i, x in {"a": 0.0, "c": 2.95, "d": 3.98}.items()]
+    others = [slipped("b", 1.5), slipped("e", 5.2)]
+    assert unfixed([Contact(), begun], fitted, others).tolist() == untold
+    assert began(begun, fitted, others) == said and began(Contact(), fitted, others) == ""
+
+
+def test_a_stand_that_is_knocked_is_found_and_when():
+    """In the second of three runs; the third has it from the start."""
+    make: Any = varying(BaseTilt)
+    knock = make(tilt_rad=0.15, by_onset=1.0, onset_rad=0.4, over_rad=1e-3)
+    asked = inquiry(BaseTilt(), knock, make(tilt_rad=0.15))
+    selection: Any = object.__new__(Selection)
+    selection.study, selection.base = asked.setting.study, asked.base
+    selection.screen = asked.setting.study.screen(asked.base)
+    selection.floor = asked.setting.study.floor(sum(len(m.t) for m in asked.setting.train))
+    selection.excess = asked.base.total - selection.floor
+    selection.measured, selection._joined = asked.measured, {}
+    (plain,) = asked.setting.study.refit(
+        asked.base.model, [Trial(("base_tilt",), {"effects.base_tilt.tilt_rad": 0.1})], None
+    )
+    single = {"base_tilt": plain}
+    assert selection.left(plain) > 0.3
+    selection._vary(single)
+    assert selection.left(single["base_tilt"]) < 0.02
+    found: Any = single["base_tilt"].effects[0]
+    runs = asked.setting.train
+    assert float(found.onset_rad) == pytest.approx(runs[1].worn[0] + 0.4, abs=0.05)
+    assert float(found.tilt_rad) == pytest.approx(0.15, abs=0.02)
+    assert began(found, runs, ()).endswith(f" s into {runs[1].run.run_id}")

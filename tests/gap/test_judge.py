@@ -25,7 +25,7 @@ def test_a_gap_that_no_candidate_explains_is_not_called_none():
         p = judge.probabilities(evidence({"contact": 0.99, "base_tilt": 0.98}, excess=excess, chance=1.0))
         assert abs(sum(p.values()) - 1) < 1e-9
         assert judge.verdict(p, ["base_tilt"]) == answer
-        assert p[answer] > 0.9
+        assert p[answer] > 0.85
         assert p["no_gap"] > 0 or answer == "unlisted_effect"  # nothing possible is given no chance at all
 
 
@@ -78,7 +78,7 @@ def test_a_stand_in_that_leaves_far_less_speaks_for_an_effect_outside_the_librar
 def test_the_share_left_parts_listed_from_unlisted():
     p = [judge.probabilities(evidence({"contact": x}))["unlisted_effect"] for x in (0.02, 0.1, 0.3, 0.6)]
     assert p == sorted(p)
-    assert p[0] < judge.WEIGHTS.unforeseen and p[-1] > 0.9
+    assert p[0] < judge.WEIGHTS.unforeseen and p[-1] > 0.85
 
 
 def test_what_is_far_ahead_of_all_others_is_a_cause_in_another_form_not_a_stand_in():
@@ -113,7 +113,7 @@ def test_what_leaves_half_of_runs_that_no_fit_saw_is_likely_a_stand_in():
         for x in (0.1, 0.5, 2.0)
     )
     assert usual["contact"] > 0.9
-    assert half["unlisted_effect"] > 0.6 and double["unlisted_effect"] > 0.9
+    assert half["unlisted_effect"] > 0.55 and double["unlisted_effect"] > 0.85
     better = dataclasses.replace(found, held_out={"contact": 0.5, "base_tilt": 0.1})
     assert judge.probabilities(better)["base_tilt"] > 0.9
 
@@ -185,3 +185,11 @@ def test_a_further_effect_of_little_of_the_gap_must_leave_nearly_nothing():
     assert worth(0.3, 0.1, 1e-4) and not worth(0.3, 0.15, 1e-4)  # most of what is left
     assert worth(0.1, 0.02, 1e-4) and not worth(0.1, 0.04, 1e-4)
     assert not worth(0.04, 0.0, 1e-4) and not worth(0.1, 0.02, 1e-2)  # too little to matter, or to tell from chance
+
+
+def test_a_listed_cause_may_have_a_form_that_nobody_has_thought_of():
+    """However little the best effect explains, what is outside the library is not certain; the others share the rest
+    alike, beside what each has."""
+    p = judge.probabilities(evidence({"tip_payload": 0.95, "contact": 0.97, "base_tilt": 0.99}))
+    assert max(p, key=lambda i: p[i]) == "unlisted_effect" and p["unlisted_effect"] < 1 - 0.9 * judge.STRANGE
+    assert min(p[i] for i in ("tip_payload", "contact", "base_tilt")) > 0.3 * judge.STRANGE

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ljjax.effects import REGISTRY
-from ljjax.effects.varying import WAYS
+from ljjax.effects.varying import WAYS, varies, varying
 from ljjax.gap.candidates import Trial, either_side, pilots, sizes
 from ljjax.gap.channels import Channel, Fitted, Measured
 from ljjax.gap.screening import Column, Screen, clock, waves
@@ -293,15 +293,17 @@ def test_leaders_that_leave_much_may_vary(alone, varied, vary):
 
     any_: Any = None
     selection: Any = object.__new__(Selection)
-    selection.study = Told(any_, (), list(REGISTRY.values()), (any_, any_), 0.0, {})
+    selection.study = Told(any_, (), list(REGISTRY.values()), (any_, any_), 0.0, {"slip": 9.0})
     selection.floor, selection.excess = 100.0, 900.0
     selection.left = lambda refit: (refit.total - 100) / 900
     others: list[set[str]] = []
-    selection._vary_others = lambda single, tried: others.append(set(tried))
+    selection._vary_others = lambda single, kinds, pilots, stage: others.append(set(kinds))
     single = {i: refitted(i, x) for i, x in alone.items()}
     selection._vary(single)
     assert set(asked) == set(varied)
-    assert others == ([set(varied)] if min(map(selection.left, single.values())) > 0.12 else [])
+    sudden = {"rest_curvature", "base_tilt", "tip_payload", "contact", "sensor_bias"}
+    able = {i for i, k in REGISTRY.items() if varies(k)}
+    assert others == ([sudden, able - set(varied)] if min(map(selection.left, single.values())) > 0.12 else [])
     assert {i for i, r in single.items() if selection.left(r) < alone[i]} == vary
     free = {k.id for k in selection.study.kinds if "by_load" in k.fields()}
     assert free == (set(varied) if vary else set())
@@ -341,7 +343,9 @@ def test_what_does_nothing_as_it_stands_may_vary_too():
     selection.screen, selection.base = before, SimpleNamespace(model=None)
     selection.left = lambda refit: (refit.total - 100) / 900
     single = {i: refitted(Trial((i,)), 0.94) for i in ("viscous_damping", "contact", "base_tilt")}
-    selection._vary_others(single, {"base_tilt"})
+    free = {k.id: varying(k) for k in kinds if k.id != "base_tilt"}
+    by_bend = [{"by_load": 8.0}, {"by_bend": 8.0}]
+    selection._vary_others(single, free, lambda kind: by_bend[kind.id == "sensor_bias" :], "others that vary")
     assert {k[0] for k, f in forms.items() if "by_bend" in f} == {"viscous_damping", "contact", "sensor_bias"}
     bent = next(t for t in begun if t.ids == ("viscous_damping",)).start
     own = {p.split(".")[2]: x for p, x in bent.items()}

@@ -57,7 +57,7 @@ class Slipperier(Effect):
 class Heavier(Effect):
     x: jax.Array = X
 
-    def inertia(self, m, now):
+    def inertia(self, memory, m, now):
         return tuple(tuple((1 + self.x) * e for e in row) for row in m)
 
 

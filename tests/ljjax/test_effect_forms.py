@@ -390,7 +390,7 @@ def test_a_load_may_be_held_out_beyond_the_tip(robot):
     level: Any = SimpleNamespace(model=model, middle=none, sin=one, cos=none)
     np.testing.assert_allclose(held.load((), none, level), -9.80665 * 0.1 * arms)
     hung: Any = SimpleNamespace(model=model, middle=none, sin=none, cos=one)
-    np.testing.assert_allclose(held.inertia(((0.0, 0.0), (0.0, 0.0)), hung), 0.1 * np.outer(arms, arms))
+    np.testing.assert_allclose(held.inertia((), ((0.0, 0.0), (0.0, 0.0)), hung), 0.1 * np.outer(arms, arms))
 
 
 def test_a_lens_stretches_what_is_off_the_axis():

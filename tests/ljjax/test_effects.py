@@ -13,11 +13,13 @@ import pytest
 
 from ljjax import effects, modelfile
 from ljjax.effects import BLOCKS, REGISTRY, build
-from ljjax.effects.varying import WAYS, varies, varying, ways
+from ljjax.effects.varying import WAYS, onsets, varies, varying, ways
 from ljjax.errors import InputError
 from ljjax.model import get, limits, replace, units
 from ljjax.modelfile import ModelFile
-from ljjax.simulation import rest, simulate, unsensed
+from ljjax.simulation import rest, simulate
+from ljjax.simulation import unsensed as unsensed_at_rest
+from ljjax.step import Drive, unsensed
 from tests.ljjax.motion import drive, seen
 
 IDS = {
@@ -120,7 +122,7 @@ def sensed_late(robot):
 def test_a_run_starts_where_its_log_does_whatever_the_sensor_adds(robot):
     model = sensed_late(robot)
     logged = jnp.array([0.05, 0.02, -0.01])
-    start = rest(model, drive(), unsensed(model, logged))
+    start = rest(model, drive(), unsensed_at_rest(model, logged))
     np.testing.assert_allclose(simulate(model, drive(), initial=start).seen[0], logged, atol=1e-12)
 
 
@@ -248,7 +250,45 @@ def test_a_robot_may_cool():
     still: Any = SimpleNamespace(q=(zero,), v=(zero,), vacuum=zero)
     for warm, expected in ((2.0, 1.5), (-2.0, 0.5), (-1e6, 0.0)):
         still.warm = jnp.asarray(warm)
-        np.testing.assert_allclose(kind(by_warmth=1.0)._amount(still, zero), expected, atol=1e-5)
+        np.testing.assert_allclose(kind(by_warmth=1.0)._amount((zero,), still, zero), expected, atol=1e-5)
+
+
+def test_what_begins_at_a_moment_is_as_if_it_had_not_been_before(robot):
+    """A marker that slips by 0.02 rad after 0.2 rad of the mean joint's way, and one that has slipped in earlier runs
+    already, which is so at the start too."""
+    bare, kind = seen(robot(3), drive()), varying(REGISTRY["sensor_bias"])
+    way = np.cumsum(np.abs(np.diff(np.asarray(bare).mean(axis=1), prepend=bare[0].mean())))
+    later = kind(**{"offset_rad": 0.02, "by_onset": 1.0, "onset_rad": 0.2, "over_rad": 1e-3})
+    shown = seen(dataclasses.replace(robot(3), effects=(later,)), drive()) - bare
+    np.testing.assert_allclose(shown[way < 0.15], 0.0, atol=1e-9)
+    assert np.any(way > 0.25)
+    np.testing.assert_allclose(shown[way > 0.25], 0.02, atol=1e-9)
+    y, v = (jnp.asarray(0.1),) * 3, (jnp.zeros(()),) * 3
+    before, after = (
+        unsensed(dataclasses.replace(robot(3), effects=(later,)), y, v, Drive(*jnp.zeros(3), worn=jnp.asarray(worn)))
+        for worn in (0.0, 1.0)
+    )
+    np.testing.assert_allclose(before, 0.1, atol=1e-9)
+    np.testing.assert_allclose(after, 0.08, atol=1e-9)
+
+
+def test_the_moment_at_which_an_effect_begins_has_the_right_derivative(robot):
+    chosen, begun = ("base_tilt", "tip_payload"), {"by_onset": 0.6, "onset_rad": 0.2, "over_rad": 0.1}
+    model = with_sizes(robot(2), 1.0, [varying(REGISTRY[effect]) for effect in chosen])
+    middle = {f"effects.{effect}.{name}": x for effect in chosen for name, x in begun.items()}
+    at, d = moved(model, [*middle]), 1e-5
+    for path, x in middle.items():
+        _, slope = at(middle, path)
+        expected = (at({**middle, path: x + d})[0] - at({**middle, path: x - d})[0]) / (2 * d)
+        assert float(np.abs(expected).max()) > 1e-5, path
+        assert float(np.abs(slope - expected).max()) < 0.02 * float(np.abs(expected).max()) + 1e-9, path
+
+
+def test_what_is_put_on_or_knocked_may_begin_at_a_moment():
+    begun = {i for i, k in REGISTRY.items() if "by_onset" in varying(k).fields()}
+    assert begun == {"rest_curvature", "base_tilt", "tip_payload", "contact", "sensor_bias"}
+    first, last = onsets(48.0, 24)[::23]
+    assert (first["onset_rad"], last["onset_rad"], first["over_rad"]) == (1.0, 47.0, 0.48)
 
 
 def test_a_model_file_holds_how_an_effect_varies(tmp_path, robot):
