@@ -176,13 +176,16 @@ def page(found: Screen) -> str:
         "|---|---|",
         *(f"| {_parameter(name, able[name])} | {g} |" for name, g in WAYS.items()),
         "",
-        "What is put on, moved or knocked may begin at a moment of the session, told by the slip S of the mean joint",
+        "What is put on, moved or set may begin at a moment of the session, told by the slip S of the mean joint",
         f"since the first run began ({', '.join(f'`{k.id}`' for k in REGISTRY.values() if k.sudden)}): m is also times",
         "1 − b (1 − g), g = (1 + tanh((S − S₁)/S₂))/2, so that with b = 1 there is none of it before.",
         "",
         "| parameter, null, bounds | |",
         "|---|---|",
         *(f"| {_parameter(name, able[name])} | {what} |" for name, what in ONSET.items()),
+        "",
+        "Or it may be another in each run: m is also times 1 + cᵣ, `in_run1`, `in_run2` …, each from the slip at the",
+        "start of its run up to `until1_rad`, `until2_rad` …",
     ]
     return "\n".join(out) + "\n"
 

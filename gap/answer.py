@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from ljjax import effects
+from ljjax.effects.varying import by_run
 from ljjax.fit.problem import Estimate
 from ljjax.fit.result import NOMINAL
 from ljjax.gap import judge, screening, where
 from ljjax.gap.data import role_of
 from ljjax.gap.experiment import next_experiment
-from ljjax.gap.inquiry import LEFT_OVER, Inquiry, began, unfixed
+from ljjax.gap.inquiry import LEFT_OVER, Inquiry, began, onset, unfixed
 from ljjax.gap.result import Diagnosis, Finding, Fold, Gap, Region
 from ljjax.gap.search import Refit
 from ljjax.gap.stand_ins import BLOCKS
@@ -64,11 +65,13 @@ def _channel(inquiry: Inquiry) -> str:
 
 def _gap(inquiry: Inquiry, chosen: Refit, seen: Sequence[Estimate]) -> Gap:
     """The gap on the unseen runs, the tip's too where it counts; its interval from the mean squares of every run. An
-    unseen run of which the fitted ones do not say whether an effect had begun counts only where there is no other."""
+    unseen run of which the fitted ones do not say what an effect does there counts only where there is no other, and
+    tells no interval then."""
     base, setting = inquiry.base, inquiry.setting
     after = seen[1] if chosen is not base else seen[0]
     told = ~unfixed(chosen.effects, setting.train, setting.test)
-    told |= not told.any()
+    foretold = bool(told.any())
+    told |= not foretold
     parts = {"before": [], "after": [], "floor": []}
     pairs = (base.estimate, chosen.estimate, setting.train), (seen[0], after, setting.test)
     for b, a, motions in pairs:
@@ -89,7 +92,7 @@ def _gap(inquiry: Inquiry, chosen: Refit, seen: Sequence[Estimate]) -> Gap:
     ci = None
     if fraction is not None and chosen is base:
         fraction, ci = 0.0, (0.0, 0.0)
-    elif fraction is not None:
+    elif fraction is not None and foretold:
         ci = judge.interval(shares["before"], shares["after"], shares["floor"], len(counted), setting.rng)
         if ci is not None:
             ci = (min(ci[0], fraction), max(ci[1], fraction))
@@ -139,7 +142,8 @@ def _where(inquiry: Inquiry, chosen: Refit) -> list[Region]:
             kind = effects.REGISTRY[i]
             alone = inquiry.found.single.get(i)
             other = alone if alone is not None and len(chosen.ids) > 1 else chosen
-            joints, axes = None, list(kind.axes)
+            (effect,) = (e for e in chosen.effects if e.id == i)
+            joints, axes = None, ["run"] * (onset(effect) is not None or by_run(effect)) + list(kind.axes)
             if channel == "theta" and "segment" in axes:
                 joints = _in_joints(inquiry, other)
                 axes = axes if joints is not None else [a for a in axes if a != "segment"]
@@ -232,6 +236,10 @@ def _left_over(inquiry: Inquiry) -> list[str]:
     for effect in chosen.effects:
         if when := began(effect, setting.train, setting.test):
             out.append(f"{effect.id} begins {when}")
+        if by_run(effect):
+            out.append(
+                f"{effect.id} is another in each run: what it will be in a new one cannot be told from these data"
+            )
     left, estimate = inquiry.own_left(chosen), chosen.estimate
     colour = screening.colour(estimate.error, estimate.windows.sample_run)
     who = " and ".join(chosen.ids)

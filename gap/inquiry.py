@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ljjax.effect import Effect
-from ljjax.effects.varying import ONSET
+from ljjax.effects.varying import ONSET, by_run
 from ljjax.fit import folds
 from ljjax.fit.coordinates import without_effects
 from ljjax.fit.windows import Motion
@@ -60,20 +60,21 @@ class Setting:
     warnings: list[str] = field(default_factory=list)
 
 
-def _onset(effect: Effect) -> tuple[float, float] | None:
+def onset(effect: Effect) -> tuple[float, float] | None:
     """The slip at which an effect begins, and over which it does [rad]; None where it has always been."""
     share, at, over = (float(getattr(effect, n, 0.0)) for n in ONSET)
     return None if share < HALF else (at, over)
 
 
 def unfixed(effects: Sequence[Effect], fitted: Sequence[Motion], others: Sequence[Motion]) -> np.ndarray:
-    """(R,) whether the moment at which one of the effects begins, between two fitted runs, may be before, in or after
-    each of the others: the fitted ones do not say."""
+    """(R,) of each of the others, whether the fitted runs do not say what one of the effects does in it: it begins
+    between two of these, before, in or after the other, or is another in each run."""
     out = np.zeros(len(others), bool)
     for e in effects:
-        if (onset := _onset(e)) is None:
+        out |= by_run(e)
+        if (moment := onset(e)) is None:
             continue
-        at, over = onset
+        at, over = moment
         begin, end = (np.array([m.worn[k] for m in fitted]) for k in (0, -1))
         if not np.any((begin + over < at) & (at < end - over)):
             after = max(end[end - over <= at], default=-np.inf)
@@ -84,9 +85,9 @@ def unfixed(effects: Sequence[Effect], fitted: Sequence[Motion], others: Sequenc
 
 def began(effect: Effect, fitted: Sequence[Motion], others: Sequence[Motion]) -> str:
     """When an effect begins, in words; empty where it does not."""
-    if (onset := _onset(effect)) is None:
+    if (moment := onset(effect)) is None:
         return ""
-    at, _ = onset
+    at, _ = moment
     between = [m.run.run_id for m, x in zip(others, unfixed([effect], fitted, others), strict=True) if x]
     for m in fitted:
         if m.worn[0] < at < m.worn[-1] and not between:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -9,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from ljjax.effect import Effect
-from ljjax.effects.varying import PILOTS, onsets, varies, varying, ways
+from ljjax.effects import REGISTRY
+from ljjax.effects.varying import EACH, PILOTS, onsets, varies, varying, ways
 from ljjax.gap import judge, screening
-from ljjax.gap.candidates import Trial, cautious, either_side, still
+from ljjax.gap.candidates import Trial, cautious, either_side, path, still
 from ljjax.gap.channels import Measured
 from ljjax.gap.screening import Screen
 from ljjax.gap.search import Refit, Study
@@ -39,6 +41,9 @@ for, and from which all pairs of so many leaders are; and beside how many of the
 VARYING, VARIED, NEARBY, HOPELESS, NOTABLY = 3, 0.02, 2.5, 0.9, 0.75
 """How many effects alone are let vary, where the best leaves more than this share of the gap: those that leave no more
 than so many times as much, nor nearly all of it; and the share of what each left that is less by enough."""
+SOME = 0.1
+"""The share of what an effect that is another in each run does in the most telling one that it begins with at least, as
+it may have no slope where there is none of it."""
 ONSETS = 24
 """How many moments of the session a sudden effect is tried to begin at, where nothing explains the gap."""
 CLOSE, CLOSER, OFF = 3, 2.0, 0.6
@@ -277,9 +282,10 @@ class Selection:
             self.study.kinds = free.kinds
             single |= kept
         if self._least(list(single.values())) > FURTHER:
-            sudden = {k.id: varying(k) if varies(k) else k for k in self.study.kinds if k.sudden}
             begun = onsets(self.study.span["slip"], ONSETS)
-            self._vary_others(single, sudden, lambda kind: begun, "effects that begin at once")
+            self._vary_others(single, self._sudden(), lambda kind: begun, "effects that begin at once")
+        if self._least(list(single.values())) > FURTHER:
+            self._vary_by_run(single)
         if self._least(list(single.values())) > FURTHER:
             others = {k.id: varying(k) for k in self.study.kinds if varies(k) and k.id not in kinds}
             self._vary_others(
@@ -288,6 +294,10 @@ class Selection:
                 lambda kind: [{way: much} for way, much in PILOTS if way in ways(kind)],
                 "others that vary",
             )
+
+    def _sudden(self, until: tuple[float, ...] | None = None) -> dict[str, type[Effect]]:
+        """What is put on, moved or set, as it may begin at a moment, or change from run to run."""
+        return {k.id: varying(REGISTRY.get(k.id, k), until) for k in self.study.kinds if k.sudden}
 
     def _vary_others(
         self,
@@ -298,13 +308,7 @@ class Selection:
     ) -> None:
         """Effects that promise most where they vary in one of the ways `pilots`: what varies much may do nothing as it
         stands."""
-        free = self._free(kinds)
-
-        def forms(kind: type[Effect]) -> list[dict[str, float]]:
-            usual = dict(self.screen.forms[self.screen.best(kind.id)])
-            return [{**usual, **way} for way in pilots(kind)] if kind.id in kinds else [usual]
-
-        screen = free.screen(self.base, forms)
+        free, screen = self._free(kinds), self._screened(kinds, pilots)
         first = [key for key in self._ahead(screen, len(screen.ids)) if key[0] in kinds][:VARYING]
         steps = {}
         for key in first:
@@ -313,6 +317,48 @@ class Selection:
         found = free.refit(self.base.model, list(steps), screen, steps, stage, finish=VARYING)
         around = [t for trial in steps for t in either_side(trial, free.kinds)]
         found += free.refit(self.study.start, around, None, stage=f"{stage}, from the given model", finish=VARYING)
+        self._keep(single, found, kinds, stage)
+
+    def _vary_by_run(self, single: dict[str, Refit]) -> None:
+        """Effects that promise most where they are others in each run: of each size by the run in which it is largest,
+        in the others as much of it as goes along with that."""
+        starts = [float(m.worn[0]) for m in self.study.motions]
+        until = tuple((a + b) / 2 for a, b in itertools.pairwise(starts))
+        kinds, runs = self._sudden(until), range(len(starts))
+        alone = [{EACH.format(r + 1): float(k == r) - 1 for r in runs} for k in runs]
+        screen = self._screened(kinds, lambda kind: alone)
+        gain = {i: sum(screen.gains[i, k] for k in runs) for i in kinds}
+        trials = []
+        for i in sorted(gain, key=lambda i: -gain[i])[:VARYING]:
+            step = np.array([list(screen.steps[i, k].values()) for k in runs])
+            most = int(np.argmax(np.sum(step**2, axis=1)))
+            along = step @ step[most] / max(float(step[most] @ step[most]), 1e-300)
+            along = np.where(np.abs(along) < SOME, SOME, along)
+            sizes = {path(kinds[i], n): x for n, x in screen.steps[i, most].items()}
+            shares = {path(kinds[i], EACH.format(k + 1)): float(along[k]) - 1 for k in runs if k != most}
+            forms = {path(kinds[i], n): x for n, x in self.screen.forms[self.screen.best(i)].items()}
+            trials.append(Trial((i,), {**sizes, **shares, **forms}))
+        free = self._free(kinds)
+        found = free.refit(self.base.model, trials, None, stage="effects that change from run to run", finish=VARYING)
+        stage = "effects that change from run to run, from the given model"
+        found += free.refit(self.study.start, trials, None, stage=stage, finish=VARYING)
+        self._keep(single, found, kinds, stage)
+
+    def _screened(
+        self, kinds: Mapping[str, type[Effect]], pilots: Callable[[type[Effect]], list[dict[str, float]]]
+    ) -> Screen:
+        """The screen of the base where these effects are tried as `pilots` say, others as they did best."""
+
+        def forms(kind: type[Effect]) -> list[dict[str, float]]:
+            usual = dict(self.screen.forms[self.screen.best(kind.id)])
+            return [{**usual, **way} for way in pilots(kind)] if kind.id in kinds else [usual]
+
+        return self._free(kinds).screen(self.base, forms)
+
+    def _keep(
+        self, single: dict[str, Refit], found: Sequence[Refit], kinds: Mapping[str, type[Effect]], stage: str
+    ) -> None:
+        """Of effects found to vary those that leave notably less stay so, and are taken further."""
         if kept := self._better(single, found):
             self.study.kinds = self._free({i: kinds[i] for i in kept}).kinds
             single |= self._better(single, self.study.varied(list(kept.values()), f"{stage}, once more"))

@@ -106,7 +106,7 @@ def _effects(where: str, given: Any, folder: Path) -> tuple[Effect, ...]:
     """The effects of [[effects]]: `id`, their parameters (those left out are at the values at which they vanish, or
     start), and for a user's own `file`, the Python file that defines it, beside the model's."""
     from ljjax import effects
-    from ljjax.effects.varying import varying
+    from ljjax.effects.varying import having, varying
 
     if not isinstance(given, list):
         raise InputError(f"{where}: effects is {given!r}; expected tables [[effects]], each with an id")
@@ -121,7 +121,8 @@ def _effects(where: str, given: Any, folder: Path) -> tuple[Effect, ...]:
             raise InputError(f"{where}: {place}.id is {name!r}; expected one of {', '.join(effects.REGISTRY)}")
         if any(e.id == name for e in found):
             raise InputError(f"{where}: {place}.id: {name} is there twice; keep one")
-        _only(where, place, entries, {*varying(effects.REGISTRY[name]).fields(), "id", "file"})
+        kind = effects.REGISTRY[name]
+        _only(where, place, entries, {*varying(kind).fields(), *having(kind, entries).fields(), "id", "file"})
         values = {key: _number(where, f"{place}.{key}", value) for key, value in entries.items()}
         found.append(effects.build(name, values))
     order = list(effects.REGISTRY)

@@ -43,7 +43,7 @@ from ljjax.effects.structure import (
     ViscoelasticCreep,
     ViscousDamping,
 )
-from ljjax.effects.varying import ONSET, WAYS, varying
+from ljjax.effects.varying import having
 from ljjax.errors import InputError
 
 _ALL: tuple[type[Effect], ...] = (
@@ -86,8 +86,7 @@ BLOCKS = ("actuation", "jamming", "structure", "friction", "sensing")
 
 def build(effect: str, values: Mapping[str, float]) -> Effect:
     """An effect of the registry with these parameters, the others at their nulls; a varying one where they say how."""
-    kind = REGISTRY[effect]
-    return (varying(kind) if {*WAYS, *ONSET} & set(values) else kind)(**values)
+    return having(REGISTRY[effect], values)(**values)
 
 
 def register(kind: type[Effect]) -> type[Effect]:

@@ -80,6 +80,7 @@ class PressureBias(Effect):
     vacuum; a regulator that closes at the atmosphere's pressure has none in a vented line, and comes to b over p₀."""
 
     id, block, axes = "pressure_bias", "jamming", ("pressure", "everywhere")
+    sudden = True
     offset_kpa: jax.Array = parameter("kPa", 0.0, -20.0, 20.0, 1.0)
     vented_kpa: jax.Array = shape("kPa", 0.0, 0.0, 20.0, (0.0, 0.5, 4.0))
 

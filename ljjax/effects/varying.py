@@ -6,18 +6,20 @@ say,
     m = (1 + Σ aᵢ gᵢ)₊,
 
 each gᵢ from 0 (at rest and without load) towards 1; warmth and the sense of motion from −1 (cooler, straightening).
-What is put on, moved or knocked (`Effect.sudden`) may change at a moment of the session, told by the slip S of the mean
+What is put on, moved or set (`Effect.sudden`) may change at a moment of the session, told by the slip S of the mean
 joint since the first run began: m is times
 
     1 − b (1 − g),    g = (1 + tanh((S − S₁)/S₂))/2,
 
-so that with b = 1 there is none of it before.
+so that with b = 1 there is none of it before. Or it may be another in each run, where a robot is mounted, loaded or set
+anew: m is times 1 + cᵣ in the run r, which is told by the slip at its start.
 """
 
 from __future__ import annotations
 
+import re
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import cache
 from typing import Any, cast
 
@@ -44,6 +46,8 @@ PILOTS = (
     *(("by_sense", much) for much in (1.0, -1.0)),
 )
 """Ways of varying much from which a search begins."""
+EACH, UNTIL = "in_run{}", "until{}_rad"
+"""cᵣ, and the slip at the start of a run from which on it is not this one [rad]; runs count from 1."""
 BRIEFLY = 0.01
 """The share of a session's slip over which an effect begins from which a search does."""
 AT_THE_SENSOR = ("by_bend", "by_rate", "by_warmth")
@@ -76,7 +80,7 @@ class _Varying(Effect):
         return jnp.maximum(1 + sum(a * g for a, g in share), 0.0) * self._begun(memory)
 
     def _begun(self, memory: Memory) -> Array | float:
-        """The share of it that is there yet, by the slip so far in memory."""
+        """The share of it that is there now, by the slip in memory: so far, or at the run's start."""
         return 1.0
 
 
@@ -90,8 +94,27 @@ class _Sudden(_Varying):
 
 
 @cache
-def varying(kind: type[Effect]) -> type[Effect]:
-    """The effect of the same id that varies; at the null values of `WAYS` it is `kind`. A transport delay does not."""
+def _each(until: tuple[float, ...]) -> type[_Varying]:
+    def begun(self: Any, memory: Memory) -> Array:
+        now, *later = (getattr(self, EACH.format(r + 1)) for r in range(len(until) + 1))
+        for r, share in enumerate(later):
+            now = jnp.where(memory[0] < getattr(self, UNTIL.format(r + 1)), now, share)
+        return 1 + now
+
+    fields = {EACH.format(r + 1): variation(-20.0, 20.0) for r in range(len(until) + 1)}
+    fields |= {UNTIL.format(r + 1): variation(-1e3, 1e5, "rad", x) for r, x in enumerate(until)}
+    made = {"__module__": __name__, "__annotations__": dict.fromkeys(fields, Array), "_begun": begun, **fields}
+    return cast(type[_Varying], types.new_class("_Each", (_Varying,), exec_body=lambda n: n.update(made)))
+
+
+@cache
+def varying(kind: type[Effect], until: tuple[float, ...] | None = None) -> type[Effect]:
+    """The effect of the same id that varies; at the null values of `WAYS` it is `kind`. A transport delay does not.
+
+    Args:
+        until: slip [rad] that parts the starts of runs, where it is another in each; of any number of runs.
+    """
+    base = _each(until) if until is not None else _Sudden if kind.sudden else _Varying
     has = {name for name in vars(Effect) if getattr(kind, name) is not getattr(Effect, name)}
 
     def at(self: Any, m: Array) -> Effect:
@@ -100,7 +123,7 @@ def varying(kind: type[Effect]) -> type[Effect]:
         return kind(**{n: getattr(self, n) * m if n in sizes else getattr(self, n) for n in kind.fields()})
 
     def start(self: Any, now: Now) -> Memory:
-        slip = (now.worn,) if kind.sudden else ()
+        slip = (now.worn,) if base is not _Varying else ()
         m = self._amount(slip, now, now.u[0] + now.u[1])
         return at(self, m).start(now), m, *slip
 
@@ -135,8 +158,9 @@ def varying(kind: type[Effect]) -> type[Effect]:
 
     def remember(self: Any, memory: Memory, now: Now, after: Any) -> Memory:
         inner, m, *slip = memory
-        moved = sum(jnp.abs(b - a) for a, b in zip(now.q, after.q, strict=True)) / len(now.q)
-        return at(self, m).remember(inner, now, after), m, *(s + moved for s in slip)
+        if base is _Sudden:
+            slip[0] = slip[0] + sum(jnp.abs(b - a) for a, b in zip(now.q, after.q, strict=True)) / len(now.q)
+        return at(self, m).remember(inner, now, after), m, *slip
 
     def sense(self: Any, memory: Memory, y: Vector, now: Now) -> tuple[Vector, Memory]:
         y, inner = at(self, memory[1]).sense(memory[0], y, now)
@@ -145,25 +169,36 @@ def varying(kind: type[Effect]) -> type[Effect]:
     def unsense(self: Any, y: Vector, now: Now | None = None) -> Vector:
         if now is None:
             return kind.unsense(self, y)
-        slip = (now.worn,) if kind.sudden else ()
+        slip = (now.worn,) if base is not _Varying else ()
         return at(self, self._amount(slip, now, now.u[0] + now.u[1])).unsense(y, now)
 
     own = {"evacuate": evacuate, "load": load, "torque": torque, "remember": remember, "sense": sense}
     own |= {"unsense": unsense, "inertia": inertia, **{name: scaled(name) for name in ("alpha2", "phi", "slip")}}
     hooks = {"start": start, "actuate": actuate, **{name: hook for name, hook in own.items() if name in has}}
-    hooks |= {"remember": remember} if kind.sudden else {}
+    hooks |= {"remember": remember} if base is _Sudden else {}
     said = {"__module__": kind.__module__, "__doc__": kind.__doc__}
     return cast(
         type[Effect],
-        types.new_class(
-            kind.__name__, (_Sudden if kind.sudden else _Varying, kind), exec_body=lambda n: n.update(said | hooks)
-        ),
+        types.new_class(kind.__name__, (base, kind), exec_body=lambda n: n.update(said | hooks)),
     )
 
 
 def ways(kind: type[Effect]) -> tuple[str, ...]:
     """What an effect may vary with, but for its onset."""
     return AT_THE_SENSOR if kind.block == "sensing" else tuple(WAYS)
+
+
+def having(kind: type[Effect], names: Collection[str]) -> type[Effect]:
+    """The effect as it has parameters of these names, whether it varies or not."""
+    runs = [int(n) for name in names for n in re.findall(r"^in_run([1-9]\d?)$", name)]
+    if runs:
+        return varying(kind, (0.0,) * (max(runs) - 1))
+    return varying(kind) if {*WAYS, *ONSET} & {*names} else kind
+
+
+def by_run(effect: Effect) -> bool:
+    """Whether an effect is another in some run."""
+    return any(float(getattr(effect, n)) != 0 for n in effect.fields() if n.startswith(EACH.format("")))
 
 
 def onsets(slip_rad: float, count: int) -> list[dict[str, float]]:

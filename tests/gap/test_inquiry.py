@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ljjax.effects.structure import BaseTilt, Contact
-from ljjax.effects.varying import varying
+from ljjax.effects.varying import by_run, varying
 from ljjax.fit.run import prepared
 from ljjax.gap.answer import _left_over
 from ljjax.gap.candidates import Trial
@@ -133,26 +133,40 @@ def test_what_begins_between_fitted_runs_is_not_told_of_those_in_between(onset, 
     assert began(begun, fitted, others) == said and began(Contact(), fitted, others) == ""
 
 
-def test_a_stand_that_is_knocked_is_found_and_when():
-    """In the second of three runs; the third has it from the start."""
-    make: Any = varying(BaseTilt)
-    knock = make(tilt_rad=0.15, by_onset=1.0, onset_rad=0.4, over_rad=1e-3)
-    asked = inquiry(BaseTilt(), knock, make(tilt_rad=0.15))
+def varied(*effects: BaseTilt) -> tuple[Inquiry, Any]:
+    """Of a tilt in each of three runs: the inquiry, and the tilt as found to vary."""
+    asked = inquiry(*effects)
     selection: Any = object.__new__(Selection)
     selection.study, selection.base = asked.setting.study, asked.base
     selection.screen = asked.setting.study.screen(asked.base)
     selection.floor = asked.setting.study.floor(sum(len(m.t) for m in asked.setting.train))
     selection.excess = asked.base.total - selection.floor
     selection.measured, selection._joined = asked.measured, {}
-    (plain,) = asked.setting.study.refit(
-        asked.base.model, [Trial(("base_tilt",), {"effects.base_tilt.tilt_rad": 0.1})], None
-    )
+    trial = Trial(("base_tilt",), {"effects.base_tilt.tilt_rad": 0.1})
+    (plain,) = asked.setting.study.refit(asked.base.model, [trial], None)
     single = {"base_tilt": plain}
     assert selection.left(plain) > 0.3
     selection._vary(single)
     assert selection.left(single["base_tilt"]) < 0.02
-    found: Any = single["base_tilt"].effects[0]
+    return asked, single["base_tilt"].effects[0]
+
+
+def test_a_stand_that_is_knocked_is_found_and_when():
+    """In the second of three runs; the third has it from the start."""
+    make: Any = varying(BaseTilt)
+    knock = make(tilt_rad=0.15, by_onset=1.0, onset_rad=0.4, over_rad=1e-3)
+    asked, found = varied(BaseTilt(), knock, make(tilt_rad=0.15))
     runs = asked.setting.train
     assert float(found.onset_rad) == pytest.approx(runs[1].worn[0] + 0.4, abs=0.05)
     assert float(found.tilt_rad) == pytest.approx(0.15, abs=0.02)
     assert began(found, runs, ()).endswith(f" s into {runs[1].run.run_id}")
+
+
+def test_a_robot_that_is_mounted_anew_for_each_run_is_found():
+    make: Any = BaseTilt
+    asked, found = varied(*(make(tilt_rad=x) for x in (0.12, -0.1, 0.03)))
+    tilts = [float(found.tilt_rad) * (1 + float(getattr(found, f"in_run{r}"))) for r in (1, 2, 3)]
+    np.testing.assert_allclose(tilts, [0.12, -0.1, 0.03], atol=0.01)
+    runs = asked.setting.train
+    assert by_run(found) and not began(found, runs, ())
+    assert unfixed([found], runs, runs).all()

@@ -298,12 +298,15 @@ def test_leaders_that_leave_much_may_vary(alone, varied, vary):
     selection.left = lambda refit: (refit.total - 100) / 900
     others: list[set[str]] = []
     selection._vary_others = lambda single, kinds, pilots, stage: others.append(set(kinds))
+    selection._vary_by_run = lambda single: others.append({"by run"})
     single = {i: refitted(i, x) for i, x in alone.items()}
     selection._vary(single)
     assert set(asked) == set(varied)
-    sudden = {"rest_curvature", "base_tilt", "tip_payload", "contact", "sensor_bias"}
+    sudden = {"pressure_bias", "rest_curvature", "base_tilt", "tip_payload", "contact", "sensor_bias"}
     able = {i for i, k in REGISTRY.items() if varies(k)}
-    assert others == ([sudden, able - set(varied)] if min(map(selection.left, single.values())) > 0.12 else [])
+    assert others == (
+        [sudden, {"by run"}, able - set(varied)] if min(map(selection.left, single.values())) > 0.12 else []
+    )
     assert {i for i, r in single.items() if selection.left(r) < alone[i]} == vary
     free = {k.id for k in selection.study.kinds if "by_load" in k.fields()}
     assert free == (set(varied) if vary else set())

@@ -272,6 +272,19 @@ def test_what_begins_at_a_moment_is_as_if_it_had_not_been_before(robot):
     np.testing.assert_allclose(after, 0.08, atol=1e-9)
 
 
+def test_an_effect_may_be_another_in_each_run(tmp_path, robot):
+    """Which run it is the slip at its start tells, whatever slips in it."""
+    given = {"offset_rad": 0.01, "in_run2": 1.0, "in_run3": -3.0, "until1_rad": 0.2, "until2_rad": 9.0}
+    path = tmp_path / "model.toml"
+    path.write_text(modelfile.dumps(ModelFile(dataclasses.replace(robot(3), effects=(build("sensor_bias", given),)))))
+    model = modelfile.load(path).model
+    y, v = (jnp.asarray(0.1),) * 3, (jnp.zeros(()),) * 3
+    for worn, bias in ((0.0, 0.01), (6.0, 0.02), (10.0, -0.02)):
+        before = unsensed(model, y, v, Drive(*jnp.zeros(3), worn=jnp.asarray(worn)))
+        np.testing.assert_allclose(before, 0.1 - bias, atol=1e-9)
+    np.testing.assert_allclose(seen(model, drive()) - seen(robot(3), drive()), 0.01, atol=1e-9)
+
+
 def test_the_moment_at_which_an_effect_begins_has_the_right_derivative(robot):
     chosen, begun = ("base_tilt", "tip_payload"), {"by_onset": 0.6, "onset_rad": 0.2, "over_rad": 0.1}
     model = with_sizes(robot(2), 1.0, [varying(REGISTRY[effect]) for effect in chosen])
@@ -284,9 +297,9 @@ def test_the_moment_at_which_an_effect_begins_has_the_right_derivative(robot):
         assert float(np.abs(slope - expected).max()) < 0.02 * float(np.abs(expected).max()) + 1e-9, path
 
 
-def test_what_is_put_on_or_knocked_may_begin_at_a_moment():
+def test_what_is_put_on_moved_or_set_may_begin_at_a_moment():
     begun = {i for i, k in REGISTRY.items() if "by_onset" in varying(k).fields()}
-    assert begun == {"rest_curvature", "base_tilt", "tip_payload", "contact", "sensor_bias"}
+    assert begun == {"pressure_bias", "rest_curvature", "base_tilt", "tip_payload", "contact", "sensor_bias"}
     first, last = onsets(48.0, 24)[::23]
     assert (first["onset_rad"], last["onset_rad"], first["over_rad"]) == (1.0, 47.0, 0.48)
 
