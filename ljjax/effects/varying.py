@@ -65,7 +65,7 @@ class _Varying(Effect):
     by_sense: Array = variation(-1.0, 1.0)
 
     def _amount(self, memory: Memory, now: Now, load: Array) -> Array:
-        """m of a step under a load [N]; in memory the slip so far [rad], where the effect is sudden."""
+        """m of a step under a load [N]; in memory the slip that `_begun` goes by [rad], if it does."""
         n = len(now.q)
         bend, rate = sum(now.q) / n, sum(now.v) / n
         turn = bend * rate
@@ -122,9 +122,13 @@ def varying(kind: type[Effect], until: tuple[float, ...] | None = None) -> type[
         sizes = kind.sizes()
         return kind(**{n: getattr(self, n) * m if n in sizes else getattr(self, n) for n in kind.fields()})
 
-    def start(self: Any, now: Now) -> Memory:
+    def first(self: Any, now: Now) -> tuple[Array, Memory]:
+        """m at a run's start, and the slip to remember."""
         slip = (now.worn,) if base is not _Varying else ()
-        m = self._amount(slip, now, now.u[0] + now.u[1])
+        return self._amount(slip, now, now.u[0] + now.u[1]), slip
+
+    def start(self: Any, now: Now) -> Memory:
+        m, slip = first(self, now)
         return at(self, m).start(now), m, *slip
 
     def actuate(self: Any, memory: Memory, u: Vector, now: Now) -> tuple[Vector, Memory]:
@@ -169,8 +173,7 @@ def varying(kind: type[Effect], until: tuple[float, ...] | None = None) -> type[
     def unsense(self: Any, y: Vector, now: Now | None = None) -> Vector:
         if now is None:
             return kind.unsense(self, y)
-        slip = (now.worn,) if base is not _Varying else ()
-        return at(self, self._amount(slip, now, now.u[0] + now.u[1])).unsense(y, now)
+        return at(self, first(self, now)[0]).unsense(y, now)
 
     own = {"evacuate": evacuate, "load": load, "torque": torque, "remember": remember, "sense": sense}
     own |= {"unsense": unsense, "inertia": inertia, **{name: scaled(name) for name in ("alpha2", "phi", "slip")}}
