@@ -339,9 +339,9 @@ class Selection:
             forms = {path(kinds[i], n): x for n, x in self.screen.forms[self.screen.best(i)].items()}
             trials.append(Trial((i,), {**sizes, **shares, **forms}))
         free = self._free(kinds)
-        found = free.refit(self.base.model, trials, None, stage="effects that change from run to run", finish=VARYING)
-        stage = "effects that change from run to run, from the given model"
-        found += free.refit(self.study.start, trials, None, stage=stage, finish=VARYING)
+        stage = "effects that change from run to run"
+        found = free.refit(self.base.model, trials, None, stage=stage, finish=VARYING)
+        found += free.refit(self.study.start, trials, None, stage=f"{stage}, from the given model", finish=VARYING)
         self._keep(single, found, kinds, stage)
 
     def _screened(
