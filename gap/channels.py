@@ -22,7 +22,7 @@ from ljjax.fast import mean
 from ljjax.fit.least_squares import solve
 from ljjax.fit.windows import Motion, white_noise
 from ljjax.gap.candidates import pilots
-from ljjax.gap.screening import waves_in
+from ljjax.gap.screening import clock, rates, waves_in
 
 STEP_S, ITERATIONS, STEP = 0.005, 20, 1e-4
 SPEAKS = 1.3
@@ -238,7 +238,7 @@ def _channel(name: str, signal: str, motions: Sequence[Motion], kinds: Sequence[
     channel = Channel(name, rms, noise, {}, {}, inputs.error, inside)
     if rms > SPEAKS * noise:
         top = max(float(m.tendons.max()) for m in motions)
-        scale = {"tension": top, "angle": 1.0, "slip": 1.0, "": 1.0}
+        scale = {"tension": top, "angle": 1.0, "slip": 1.0, "": 1.0, **inputs.clock(base)}
         waves = inputs.waves(base)
         found = {k.id: _explained(k, channel, pilots(k, scale, waves)) for k in kinds}
         left = {i: channel.leaves(rms) for i, (rms, _) in found.items()}
@@ -280,12 +280,21 @@ class _Inputs:
             vacuum.append(mean(m.input_t, m.vacuum[:, None], edges, m.hold, np)[:, 0])
         self.y = np.concatenate([x.ravel() for x in y])
         self.noise = max(float(np.sqrt(np.mean([np.mean(white_noise(x) ** 2) for x in y]))), 1e-6)
+        self.begins = np.stack([e[:-1] for e in self.edges])
         self.drive = self._commanded(0.0), np.stack(vacuum), np.stack(q)
 
     def _commanded(self, delay: float) -> np.ndarray:
         """(R, T, 2) mean commanded tensions of the steps, so much later."""
         edges = zip(self.motions, self.edges, strict=True)
         return np.stack([mean(m.input_t, m.tendons, e - delay, m.hold, np) for m, e in edges])
+
+    def clock(self, error: np.ndarray) -> dict[str, float]:
+        """How the delay of the tensions would change between two settings of a clock, by their error (N,)."""
+        if not self.tension:
+            return {}
+        t, run = np.concatenate(self.t), np.repeat(np.arange(len(self.t)), [len(t) for t in self.t])
+        e = error.reshape(-1, 2)
+        return clock(t, e, rates(t, e + self.y.reshape(-1, 2), run))
 
     def waves(self, error: np.ndarray) -> list[float]:
         """The waves over the body's bend [1/rad] that the net tension's error (N,) has most of."""
@@ -300,14 +309,13 @@ class _Inputs:
     def error(self, kind: type[Effect] | None, x: np.ndarray) -> np.ndarray:
         """(m, N) predicted − measured through an effect of the parameters x (m, p), or none; at the stamps by linear
         interpolation between the middles of steps."""
-        commanded, vacuum, _ = self.drive
+        commanded, vacuum, q = self.drive
         if kind is None:
             series = (commanded if self.tension else vacuum[..., None])[None]
         elif kind.delay_s is not Effect.delay_s:
-            delays = [kind(*row).delay_s() for row in x]
-            series = np.stack([self._commanded(float(d)) for d in delays if d is not None])
+            series = np.concatenate([self._delayed(kind, row) for row in x])
         else:
-            series = np.asarray(_through(kind(*x.T), *self.drive, self.tension))
+            series = np.asarray(_through(kind(*x.T), self.begins, *self.drive, self.tension))
         out = []
         for row in series:
             at = [
@@ -320,19 +328,25 @@ class _Inputs:
             out.append(np.concatenate(runs) - self.y)
         return np.stack(out)
 
+    def _delayed(self, kind: type[Effect], x: np.ndarray) -> np.ndarray:
+        """(1, R, T, 2) tensions after a transport delay and what else an effect of these parameters (p,) does."""
+        delay = kind(*x).delay_s()
+        commanded = self._commanded(0.0 if delay is None else float(delay))
+        return np.asarray(_through(kind(*x[:, None]), self.begins, commanded, *self.drive[1:], self.tension))
+
 
 @eqx.filter_jit
-def _through(effects: Effect, tendons: Any, vacuum: Any, q: Any, tension: bool) -> jax.Array:
+def _through(effects: Effect, t: Any, tendons: Any, vacuum: Any, q: Any, tension: bool) -> jax.Array:
     """(m, R, T, 2) tensions or (m, R, T, 1) vacuum after effects of (m,) parameters."""
-    tendons, vacuum, q = jnp.asarray(tendons), jnp.asarray(vacuum), jnp.asarray(q)
+    t, tendons, vacuum, q = jnp.asarray(t), jnp.asarray(tendons), jnp.asarray(vacuum), jnp.asarray(q)
     zero = jnp.zeros(())
 
-    def now(u: jax.Array, p: jax.Array, shape: jax.Array) -> Now:
+    def now(t: jax.Array, u: jax.Array, p: jax.Array, shape: jax.Array) -> Now:
         joints = tuple(shape)
         still = tuple(zero for _ in joints)
-        return Now(None, zero, zero + STEP_S, joints, still, still, joints, (u[0], u[1]), p, zero, zero)
+        return Now(None, t, zero + STEP_S, joints, still, still, joints, (u[0], u[1]), p, zero, zero)
 
-    def one(effect: Effect, tendons: jax.Array, vacuum: jax.Array, q: jax.Array) -> jax.Array:
+    def one(effect: Effect, t: jax.Array, tendons: jax.Array, vacuum: jax.Array, q: jax.Array) -> jax.Array:
         def step(memory: Any, given: Any) -> tuple[Any, jax.Array]:
             here = now(*given)
             if tension:
@@ -341,8 +355,8 @@ def _through(effects: Effect, tendons: Any, vacuum: Any, q: Any, tension: bool) 
             p, memory = effect.evacuate(memory, here.vacuum, here)
             return memory, jnp.stack([p])
 
-        first = effect.start(now(tendons[0], vacuum[0], q[0]))
-        return jax.lax.scan(step, first, (tendons, vacuum, q))[1]
+        first = effect.start(now(t[0], tendons[0], vacuum[0], q[0]))
+        return jax.lax.scan(step, first, (t, tendons, vacuum, q))[1]
 
-    runs = jax.vmap(one, in_axes=(None, 0, 0, 0))
-    return jax.vmap(runs, in_axes=(0, None, None, None))(effects, tendons, vacuum, q)
+    runs = jax.vmap(one, in_axes=(None, 0, 0, 0, 0))
+    return jax.vmap(runs, in_axes=(0, None, None, None, None))(effects, t, tendons, vacuum, q)

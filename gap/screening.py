@@ -188,6 +188,13 @@ def waves(found: Estimate) -> list[float]:
     return [*rungs, *(w for w in waves_in(pieces) if w > rungs[-1])]
 
 
+def ahead(screen: Screen, count: int) -> list[tuple[str, int]]:
+    """Of each effect its best form: those that promise most, and those that promise most firmly, in turns."""
+    best = [screen.best(i) for i in screen.ids]
+    most, firm = (sorted(best, key=lambda k: -by[k]) for by in (screen.gains, screen.firm))
+    return list(dict.fromkeys(k for pair in zip(most, firm, strict=True) for k in pair))[:count]
+
+
 def ladder(wide: float) -> list[float]:
     """Low waves [1/rad], so close that over a bend of this width [rad] a search comes from one to the next. Residuals
     alone do not tell them: what stretches goes with the load, and what a wave leaves of the base with its length."""
@@ -217,21 +224,35 @@ def waves_in(pieces: Sequence[tuple[np.ndarray, np.ndarray]], count: int = 4) ->
     return sorted(out)
 
 
-RESETS_S = 1 / np.arange(1 / 30, 1.0, 1 / 60)
-"""Times between two settings of a clock that are looked for [s]."""
+BEAT_HZ, AROUND = 1 / 60, 30
+"""By how much the beats at which a clock may be set differ, as they are looked for, and how many on either side of one
+say what there is beside it."""
+BEATS_HZ = np.arange(2, 1200) * BEAT_HZ
+SLOW_HZ, STANDS_OUT = 1.0, 25.0
+"""Beats up to which errors have more the slower they are, whatever the clock; and how many times as much as beside it
+they have at a faster one that is heard, as chance does not make."""
 
 
-def clock(found: Estimate) -> dict[str, float]:
-    """How the stamps of a clock that is set again and again would drift, by what residuals have of the rate: `drift`
-    1 or −1 for one that falls behind or gets ahead of itself, `reset_s` the time between two settings [s], and `phase`,
-    the share of it that has gone by when a run begins."""
-    w, t = found.windows, found.windows.sample_t
-    error, predicted = found.shape_error, found.windows.shape(found.predicted)
-    rate = np.zeros_like(error)
-    for i in np.unique(w.sample_run):
-        mine = np.flatnonzero(w.sample_run == i)
+def clock_of(found: Estimate) -> dict[str, float]:
+    """`clock`, of the shape's errors and its predicted rate."""
+    w, predicted = found.windows, found.windows.shape(found.predicted)
+    return clock(w.sample_t, found.shape_error, rates(w.sample_t, predicted, w.sample_run))
+
+
+def rates(t: np.ndarray, x: np.ndarray, run: np.ndarray) -> np.ndarray:
+    """The rates (N, c) of x (N, c), run by run; 0 in runs too short for one."""
+    out = np.zeros_like(x)
+    for i in np.unique(run):
+        mine = np.flatnonzero(run == i)
         if len(mine) > 2:
-            rate[mine] = np.gradient(predicted[mine], t[mine], axis=0)
+            out[mine] = np.gradient(x[mine], t[mine], axis=0)
+    return out
+
+
+def clock(t: np.ndarray, error: np.ndarray, rate: np.ndarray) -> dict[str, float]:
+    """How the delay of a clock that is set again and again would change, by what errors (N, c) have of the rate (N, c)
+    at times t (N,) of their runs: `drift` 1 or −1 for one that falls behind or gets ahead of itself, `reset_s` the time
+    between two settings [s], and `phase`, the share of it that has gone by when a run begins."""
     score, weight = -np.sum(error * rate, axis=1), np.sum(rate**2, axis=1)
 
     def fitted(*delays: np.ndarray) -> tuple[float, float]:
@@ -240,12 +261,18 @@ def clock(found: Estimate) -> dict[str, float]:
         x = np.linalg.lstsq((by * weight) @ by.T, by @ score, rcond=None)[0]
         return float(by @ score @ x), float(x[-1])
 
-    turns = 2 * np.pi * t
-    reset = max(RESETS_S, key=lambda s: fitted(np.sin(turns / s), np.cos(turns / s))[0])
-    forms = [(s, phase) for s in reset * np.linspace(0.9, 1.1, 5) for phase in np.arange(0.0, 1.0, 1 / 16)]
-    delays = [fitted((t / s + phase + 0.5) % 1.0 - 0.5) for s, phase in forms]
+    own = score - weight * (score.sum() / max(weight.sum(), 1e-300))
+    power = np.array([np.abs(np.exp(-2j * np.pi * hz * t) @ own) ** 2 for hz in BEATS_HZ])
+    beside = [np.median(power[max(k - AROUND, 0) : k + AROUND + 1]) for k in range(len(power))]
+    slow, loud = BEATS_HZ < SLOW_HZ, power > STANDS_OUT * np.array(beside)
+    heard = loud & ~slow  # of a beat and its overtones it is the loudest
+    beat = BEATS_HZ[np.argmax(np.where(heard if heard.any() else slow, power, 0.0))]
+    nearby = beat + BEAT_HZ * np.linspace(-0.5, 0.5, 5)
+    forms = [(hz, phase) for hz in nearby for phase in np.arange(0.0, 1.0, 1 / 16)]
+    delays = [fitted((t * hz + phase + 0.5) % 1.0 - 0.5) for hz, phase in forms]
     best = max(range(len(forms)), key=lambda k: delays[k][0])
-    return {"drift": float(np.sign(delays[best][1])), "reset_s": float(forms[best][0]), "phase": float(forms[best][1])}
+    drift, (hz, phase) = np.sign(delays[best][1]), forms[best]
+    return {"drift": float(drift), "reset_s": float(1 / hz), "phase": float(phase)}
 
 
 def _look(search: Search) -> Asking[Search]:

@@ -285,7 +285,7 @@ class Study:
         """Every effect that is not in a refit, on top of it, in all `pilots` of its form or in those asked for."""
         chosen = [f"effects.{i}.{n}" for i in from_.ids for n in self._free(i, from_)]
         if forms_of is None:
-            span, waves = {**self.span, **screening.clock(from_.estimate)}, screening.waves(from_.estimate)
+            span, waves = {**self.span, **screening.clock_of(from_.estimate)}, screening.waves(from_.estimate)
             forms_of = partial(pilots, span=span, waves=waves)
         names, whole = [*self.names, *chosen], self._whole(from_.model)
         asked, said, forms = screening.screen(whole, names, self.kinds, self.motions, self.pressure, QUICK, forms_of)

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ljjax.effect import Effect
-from ljjax.effects import REGISTRY
-from ljjax.effects.varying import EACH, PILOTS, onsets, varies, varying, ways
 from ljjax.gap import judge, screening
-from ljjax.gap.candidates import Trial, cautious, either_side, path, still
+from ljjax.gap.candidates import Trial, cautious, either_side
 from ljjax.gap.channels import Measured
-from ljjax.gap.screening import Screen
+from ljjax.gap.screening import Screen, ahead
 from ljjax.gap.search import Refit, Study
+from ljjax.gap.variation import FURTHER, Variation
 
 LEADERS, FEW, SECOND, MOST = 12, 4, 5, 3
 """How many candidates are refitted alone, how many where chance promises as much as they do, how many with those found
@@ -35,17 +33,9 @@ HEARD = 3
 ASTRAY, LOST = 0.98, 8
 """A candidate that leaves more than this share of the base's loss has found nothing, or not its way; how many of those
 are begun once more."""
-FURTHER, JOINED, PAIRS, LEADING, EVERY = 0.12, 0.06, 0.25, 5, 3
-"""Shares of the gap, left by one effect, from which the others are begun otherwise, from which a further one is looked
-for, and from which all pairs of so many leaders are; and beside how many of these every other effect."""
-VARYING, VARIED, NEARBY, HOPELESS, NOTABLY = 3, 0.02, 2.5, 0.9, 0.75
-"""How many effects alone are let vary, where the best leaves more than this share of the gap: those that leave no more
-than so many times as much, nor nearly all of it; and the share of what each left that is less by enough."""
-SOME = 0.1
-"""The share of what an effect that is another in each run does in the most telling one that it begins with at least, as
-it may have no slope where there is none of it."""
-ONSETS = 24
-"""How many moments of the session a sudden effect is tried to begin at, where nothing explains the gap."""
+JOINED, PAIRS, LEADING, EVERY = 0.06, 0.25, 5, 3
+"""Shares of the gap, left by one effect, from which a further one is looked for, and from which all pairs of so many
+leaders are; and beside how many of these every other effect."""
 CLOSE, CLOSER, OFF = 3, 2.0, 0.6
 """How many single effects are taken to their end before they are judged, none that leaves so many times the least, nor
 where that is so large a share of the gap that no effect explains it."""
@@ -130,7 +120,7 @@ class Selection:
         """The candidates that promise most, refitted alone."""
         screen, study = self.screen, self.study
         keys = sorted(screen.gains, key=lambda k: -screen.gains[k])
-        first = self._ahead(screen, LEADERS if self._promising() else FEW)
+        first = ahead(screen, LEADERS if self._promising() else FEW)
         first += [screen.best(i) for i in self.measured.speaks if i in screen.ids and screen.best(i) not in first]
         more = [k for k in keys if k not in first and k[0] in {f[0] for f in first[:4]}][:4]
         steps = self._begun(screen, [*first, *more])
@@ -140,7 +130,7 @@ class Selection:
             return found
         screen = self._from_given = study.screen(self.given)
         best_first = list(dict.fromkeys(r.ids[0] for r in sorted(found, key=lambda r: r.total)))
-        promising = [i for i, _ in self._ahead(self.screen, WIDE)]
+        promising = [i for i, _ in ahead(self.screen, WIDE)]
         begun = list(dict.fromkeys(i for both in zip(best_first, promising, strict=False) for i in both))[:WIDE]
         least = min((r.total for r in found), default=np.inf)
         found += self._around(screen, begun, max(NEAR * least, self.floor + NEARER * self.excess))
@@ -212,13 +202,6 @@ class Selection:
         """The trials that start where a screen points, and how far the base moves along with each."""
         return dict(self.study.trial(screen, key, onto) for key in keys)
 
-    @staticmethod
-    def _ahead(screen: Screen, count: int) -> list[tuple[str, int]]:
-        """Of each effect its best form: those that promise most, and those that promise most firmly, in turns."""
-        best = [screen.best(i) for i in screen.ids]
-        most, firm = (sorted(best, key=lambda k: -by[k]) for by in (screen.gains, screen.firm))
-        return list(dict.fromkeys(k for pair in zip(most, firm, strict=True) for k in pair))[:count]
-
     def _heard(self, onto: Refit | None = None) -> list[Trial]:
         """Effects that measured inputs show, begun as they show there."""
         ids, before = (onto.ids, onto.free_effects) if onto else ((), {})
@@ -243,7 +226,8 @@ class Selection:
             left.setdefault(r.ids[0], r)
         if not left:
             raise FloatingPointError("no candidate simulates on these runs")
-        self._vary(left)
+        if self.excess > judge.OPEN * self.floor:
+            Variation(self.study, self.base, self.screen, self.left).let(left)
         found = Found(left, {}, min(left.values(), key=self.left))
         unit = self.unit_of(found.best)
         while len(found.best.ids) < MOST:
@@ -268,118 +252,11 @@ class Selection:
             self._exchange(found)
         return found
 
-    def _vary(self, single: dict[str, Refit]) -> None:
-        """The best effects once more, free to vary in strength with what acts on them, where they leave much: a true
-        cause seldom has the library's form. Those that then leave notably less stay so."""
-        ordered = sorted(single.values(), key=self.left)
-        least = self.left(ordered[0])
-        if self.excess <= judge.OPEN * self.floor or least <= VARIED:
-            return
-        near = [r for r in ordered if self.left(r) < NEARBY * least and self.left(r) < HOPELESS][:VARYING]
-        kinds = {k.id: varying(k) for k in self.study.kinds if varies(k) and any(r.ids == (k.id,) for r in near)}
-        free = self._free(kinds)
-        if kept := self._better(single, free.varied([single[i] for i in kinds], "varying effects")):
-            self.study.kinds = free.kinds
-            single |= kept
-        if self._least(list(single.values())) > FURTHER:
-            begun = onsets(self.study.span["slip"], ONSETS)
-            self._vary_others(single, self._sudden(), lambda kind: begun, "effects that begin at once")
-        if self._least(list(single.values())) > FURTHER:
-            self._vary_by_run(single)
-        if self._least(list(single.values())) > FURTHER:
-            others = {k.id: varying(k) for k in self.study.kinds if varies(k) and k.id not in kinds}
-            self._vary_others(
-                single,
-                others,
-                lambda kind: [{way: much} for way, much in PILOTS if way in ways(kind)],
-                "others that vary",
-            )
-
-    def _sudden(self, until: tuple[float, ...] | None = None) -> dict[str, type[Effect]]:
-        """What is put on, moved or set, as it may begin at a moment, or change from run to run."""
-        return {k.id: varying(REGISTRY.get(k.id, k), until) for k in self.study.kinds if k.sudden}
-
-    def _vary_others(
-        self,
-        single: dict[str, Refit],
-        kinds: Mapping[str, type[Effect]],
-        pilots: Callable[[type[Effect]], list[dict[str, float]]],
-        stage: str,
-    ) -> None:
-        """Effects that promise most where they vary in one of the ways `pilots`: what varies much may do nothing as it
-        stands."""
-        free, screen = self._free(kinds), self._screened(kinds, pilots)
-        first = [key for key in self._ahead(screen, len(screen.ids)) if key[0] in kinds][:VARYING]
-        steps = {}
-        for key in first:
-            trial, step = free.trial(screen, key)
-            steps[Trial(trial.ids, {**still(kinds[key[0]]), **trial.start})] = step
-        found = free.refit(self.base.model, list(steps), screen, steps, stage, finish=VARYING)
-        around = [t for trial in steps for t in either_side(trial, free.kinds)]
-        found += free.refit(self.study.start, around, None, stage=f"{stage}, from the given model", finish=VARYING)
-        self._keep(single, found, kinds, stage)
-
-    def _vary_by_run(self, single: dict[str, Refit]) -> None:
-        """Effects that promise most where they are others in each run: of each size by the run in which it is largest,
-        in the others as much of it as goes along with that."""
-        starts = [float(m.worn[0]) for m in self.study.motions]
-        until = tuple((a + b) / 2 for a, b in itertools.pairwise(starts))
-        kinds, runs = self._sudden(until), range(len(starts))
-        alone = [{EACH.format(r + 1): float(k == r) - 1 for r in runs} for k in runs]
-        screen = self._screened(kinds, lambda kind: alone)
-        gain = {i: sum(screen.gains[i, k] for k in runs) for i in kinds}
-        trials = []
-        for i in sorted(gain, key=lambda i: -gain[i])[:VARYING]:
-            step = np.array([list(screen.steps[i, k].values()) for k in runs])
-            most = int(np.argmax(np.sum(step**2, axis=1)))
-            along = step @ step[most] / max(float(step[most] @ step[most]), 1e-300)
-            along = np.where(np.abs(along) < SOME, SOME, along)
-            sizes = {path(kinds[i], n): x for n, x in screen.steps[i, most].items()}
-            shares = {path(kinds[i], EACH.format(k + 1)): float(along[k]) - 1 for k in runs if k != most}
-            forms = {path(kinds[i], n): x for n, x in self.screen.forms[self.screen.best(i)].items()}
-            trials.append(Trial((i,), {**sizes, **shares, **forms}))
-        free = self._free(kinds)
-        stage = "effects that change from run to run"
-        found = free.refit(self.base.model, trials, None, stage=stage, finish=VARYING)
-        found += free.refit(self.study.start, trials, None, stage=f"{stage}, from the given model", finish=VARYING)
-        self._keep(single, found, kinds, stage)
-
-    def _screened(
-        self, kinds: Mapping[str, type[Effect]], pilots: Callable[[type[Effect]], list[dict[str, float]]]
-    ) -> Screen:
-        """The screen of the base where these effects are tried as `pilots` say, others as they did best."""
-
-        def forms(kind: type[Effect]) -> list[dict[str, float]]:
-            usual = dict(self.screen.forms[self.screen.best(kind.id)])
-            return [{**usual, **way} for way in pilots(kind)] if kind.id in kinds else [usual]
-
-        return self._free(kinds).screen(self.base, forms)
-
-    def _keep(
-        self, single: dict[str, Refit], found: Sequence[Refit], kinds: Mapping[str, type[Effect]], stage: str
-    ) -> None:
-        """Of effects found to vary those that leave notably less stay so, and are taken further."""
-        if kept := self._better(single, found):
-            self.study.kinds = self._free({i: kinds[i] for i in kept}).kinds
-            single |= self._better(single, self.study.varied(list(kept.values()), f"{stage}, once more"))
-
-    def _free(self, kinds: Mapping[str, type[Effect]]) -> Study:
-        """The study with these effects in place of those of the same ids."""
-        return replace(self.study, kinds=[kinds.get(k.id, k) for k in self.study.kinds])
-
-    def _better(self, single: Mapping[str, Refit], found: Sequence[Refit]) -> dict[str, Refit]:
-        """Of refits of effects that vary the best of each that leaves notably less than it did before."""
-        best: dict[str, Refit] = {}
-        for r in sorted(found, key=self.left):
-            if self.left(r) < NOTABLY * (self.left(single[r.ids[0]]) if r.ids[0] in single else 1.0):
-                best.setdefault(r.ids[0], r)
-        return best
-
     def _further(self, best: Refit, unit: float) -> list[Refit]:
         """What promises most on top of the best so far, refitted with it; begun anew where none of it is worth having,
         as the best had to do the others' part, and may have gone where they cannot bring it back from."""
         on_top = self.study.screen(best)
-        steps = self._begun(on_top, self._ahead(on_top, SECOND), best)
+        steps = self._begun(on_top, ahead(on_top, SECOND), best)
         trials = [*steps, *self._heard(best)]
         more = self.study.refit(best.model, trials, on_top, steps, stage="several effects", finish=2, sure=1)
         if any(judge.pairs_worth(self.left(best), self.left(r), unit) for r in more):
@@ -419,7 +296,7 @@ class Selection:
             if like is None:
                 continue
             on_top = study.screen(like)
-            steps = self._begun(on_top, self._ahead(on_top, SECOND), like)
+            steps = self._begun(on_top, ahead(on_top, SECOND), like)
             new = [t for t in steps if tuple(sorted(t.ids)) not in found.joint]
             for r in study.refit(like.model, new, on_top, steps, "exchanges", finish=2):
                 found.joint[tuple(sorted(r.ids))] = r

@@ -6,17 +6,42 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import arm, bounded, lagged, play, positive, power, ringing, turned, wave
+from ljjax.effects.shapes import (
+    arm,
+    bounded,
+    lagged,
+    play,
+    positive,
+    power,
+    pursued,
+    ringing,
+    sawtooth,
+    towards_base,
+    turned,
+    wave,
+)
 
 
 class ActuatorDelay(Effect):
-    """The tensions follow their commands after a transport delay: T(t) = T_cmd(t − d)."""
+    """The tensions follow their commands after a transport delay: T(t) = T_cmd(t − d). Where commands are read at a
+    beat and held, or buffers fill and are emptied, it grows in between: T_cmd(t − d) − d r s Ṫ_cmd, s the sawtooth from
+    −½ to ½ over the time T, at 0 at −φ T; r = 2 for a command held."""
 
     id, block, axes = "actuator_delay", "actuation", ("rate", "load", "time")
     delay_seconds: jax.Array = parameter("s", 0.0, 0.0, 0.4, 0.03)
+    drift: jax.Array = shape("1", 0.0, -2.0, 2.0, (0.0, 1.0), "drift")
+    reset_s: jax.Array = shape("s", 5.0, 0.05, 1e3, (1.0,), "reset_s")
+    phase: jax.Array = shape("1", 0.0, -10.0, 10.0, (1.0,), "phase")
+
+    def start(self, now):
+        return now.u
 
     def delay_s(self):
         return self.delay_seconds
+
+    def actuate(self, memory, u, now):
+        late = self.delay_seconds * self.drift * sawtooth((now.t + 0.5 * now.h) / self.reset_s + self.phase)
+        return tuple(x - late * (x - before) / now.h for x, before in zip(u, memory, strict=True)), u
 
 
 class ActuatorDeadband(Effect):
@@ -110,8 +135,7 @@ class ActuatorLag(Effect):
         means, ends, held, rates = [], [], [], []
         shares = 1 + self.difference, 1 - self.difference
         for x, share, first, second, rate in zip(u, shares, memory[:2], memory[2:4], memory[4:], strict=True):
-            apart = jnp.exp(0.5 * self.power * jnp.log(((x - first) / APART_N) ** 2 + 1e-4))
-            once, end = lagged(x, first, apart * share * self.tau_s, now.h)
+            once, end = pursued(x, first, share * self.tau_s, self.power, APART_N, now.h)
             mean, later, rate = ringing(once, second, rate, share * self.second_s, self.ring, now.h)
             for kept, value in zip((means, ends, held, rates), (mean, end, later, rate), strict=True):
                 kept.append(value)
@@ -209,12 +233,18 @@ class TendonSlack(Effect):
         return (one + half, two - half), (first, second, third, *slack)
 
 
+PRESSED_N, PRESSED_RAD = 10.0, 0.1
+"""Tension and bend at which a lining rubs the same by any power of what presses it."""
+
+
 class TendonFriction(Effect):
-    """Friction along the routing: joint k feels T exp(∓(ε + β|q_Σ| + μ Σ_{j ≤ k}|q_j| + ν k)), less in the tendon
-    pulled in, more in the one paid out, from the entry, from a liner that bends with the body, from bends (capstan),
-    from guides; and a drag whatever the load. Each tendon has a channel of its own: ε ± δ_ε, μ ± δ_μ.
-    It turns round within some rotation of the tip, over which tendon and liner stretch. At rest it fades, in that
-    rotation over the rate that counts as rest."""
+    """Friction along the routing: joint k feels T exp(∓(s₀ (ε + β|q_Σ|) + Σ_{j ≤ k} s_j (μ w_j |q_j| + ν))), less in
+    the tendon pulled in, more in the one paid out, from the entry, from a liner that bends with the body, from bends
+    (capstan), from guides; and a drag s₀ whatever the load. s_j is the way the tendon last slid past joint j, by
+    Σ_{k ≥ j} q_k; s₀ that of all of it. Each tendon has a channel of its own: ε ± δ_ε, μ ± δ_μ. A soft lining rubs by a
+    power of what presses it, an uneven one by its place: w_j = (T |q_j|/T₀ q₀)^(p − 1) (1 + g x_j), with T₀ = 10 N,
+    q₀ = 0.1 rad, and x from 1 at the base to −1 at the tip. It turns round within some rotation, over which tendon and
+    liner stretch. At rest it fades, in that rotation over the rate that counts as rest."""
 
     id, block, axes = "tendon_friction", "actuation", ("direction", "angle", "load")
     mu: jax.Array = parameter("1/rad", 0.0, 0.0, 6.0, 0.2)
@@ -226,23 +256,29 @@ class TendonFriction(Effect):
     entry_difference: jax.Array = parameter("1", 0.0, -0.5, 0.5, 0.02)
     turn_rad: jax.Array = shape("rad", 0.01, 0.001, 0.5, (0.08, 0.01))
     still_rad_s: jax.Array = shape("rad/s", 0.02, 1e-4, 10.0, (1e-3, 0.03, 0.3))
+    power: jax.Array = shape("1", 1.0, 0.3, 2.0, (0.7, 1.0))
+    to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
     def start(self, now):
-        return (0.0 * now.q[0],)
+        return tuple(0.0 * q for q in now.q)
 
     def load(self, memory, load, now):
-        (way,) = memory
-        out, wrapped = [], 0.0 * now.q[0]
-        before = self.entry + self.liner * jnp.abs(sum(now.middle))
-        for i, q in enumerate(now.middle):
-            wrapped = wrapped + jnp.abs(q)
-            mean = before + self.mu * wrapped + self.guide * (i + 1.0)
-            apart = self.entry_difference + self.mu_difference * wrapped
-            pulled, paid = jnp.expm1(-(mean + apart) * way), jnp.expm1((mean - apart) * way)
-            lost = now.u[0] * pulled - now.u[1] * paid - self.drag_n * way
+        out, way = [], memory[0]
+        entered = self.entry + self.liner * jnp.abs(sum(now.middle))
+        left, right = way * (entered + self.entry_difference), way * (entered - self.entry_difference)
+        soft = [power(u, PRESSED_N, self.power - 1) for u in now.u]
+        of_place = towards_base(self.to_base, len(now.q))
+        for i, (q, slid, place) in enumerate(zip(now.middle, memory, of_place, strict=True)):
+            wrapped = jnp.abs(q) * power(q, PRESSED_RAD, self.power - 1) * place
+            left = left + slid * (self.guide + (self.mu + self.mu_difference) * wrapped * soft[0])
+            right = right + slid * (self.guide + (self.mu - self.mu_difference) * wrapped * soft[1])
+            lost = now.u[0] * jnp.expm1(-left) - now.u[1] * jnp.expm1(right) - self.drag_n * way
             out.append(load[i] + arm(now) * lost)
         return tuple(out)
 
     def remember(self, memory, now, after):
-        moved = sum(b - a for a, b in zip(now.q, after.q, strict=True))
-        return (turned(memory[0], moved, self.turn_rad, self.still_rad_s * now.h),)
+        moved, out = 0.0 * now.q[0], []
+        for way, before, later in zip(memory[::-1], now.q[::-1], after.q[::-1], strict=True):
+            moved = moved + later - before
+            out.append(turned(way, moved, self.turn_rad, self.still_rad_s * now.h))
+        return tuple(out[::-1])

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import lagged, positive, saturated, towards_base, turned
+from ljjax.effects.shapes import dahl, lagged, positive, saturated, towards_base, turned
 
 APART_KPA = 10.0
 """The difference between line and sheath at which the sheath's time constants hold."""
@@ -46,6 +46,7 @@ class PressureLeak(Effect):
     (1 − b − m)₊ + b q²/(q² + w²) + m v²/(v² + ω²), q² and v² the joints' means, and to the latter two when vented."""
 
     id, block, axes = "pressure_leak", "jamming", ("pressure", "time")
+    sudden = True
     share: jax.Array = parameter("1", 0.0, 0.0, 0.95, 0.15)
     tau_s: jax.Array = shape("s", 5.0, 0.05, 200.0, (1.5, 5.0, 20.0))
     held: jax.Array = shape("1", 0.5, 0.0, 1.0, (1.0, 0.0))
@@ -127,7 +128,8 @@ class LayerHysteresis(Effect):
     """Interlayer slip with a memory longer than the bristles': springs that stretch by x₀ and by 4 x₀ before they slide
     (Jenkins' elements, a sum of plays), each with a torque of its own, (a + b P) (1 + g x), x from 1 at the base to −1
     at the tip; under pressure they may stretch further, x₀ (1 + w P), as they do where the vacuum makes them slide
-    later but no stiffer. And friction that grows with the bend, h φ |q| (1 + g x), turning round within x₀ (Dahl's)."""
+    later but no stiffer. The first may slide little by little, x₀ dz/dq = (1 − z sgn q̇)^p (Dahl's model; Jenkins' for
+    p = 0). And friction that grows with the bend, h φ |q| (1 + g x), turning round within x₀ (Dahl's)."""
 
     id, block, axes = "layer_hysteresis", "jamming", ("direction", "angle", "pressure")
     torque_nm: jax.Array = parameter("N·m", 0.0, 0.0, 5.0, 0.01)
@@ -137,6 +139,7 @@ class LayerHysteresis(Effect):
     with_bend: jax.Array = parameter("1/rad", 0.0, 0.0, 1.0, 0.005)
     width_rad: jax.Array = shape("rad", 0.03, 0.003, 1.0, (0.01, 0.03, 0.09))
     stretch_per_kpa: jax.Array = shape("1/kPa", 0.0, 0.0, 1.0, (0.1, 0.0))
+    order: jax.Array = shape("1", 0.0, 0.0, 3.0, (1.0, 0.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
     def _widths(self, vacuum):
@@ -145,9 +148,10 @@ class LayerHysteresis(Effect):
 
     def _stuck(self, memory, moved, vacuum):
         """How far each element of each joint is stretched [rad] after the joints moved so far."""
-        return tuple(
-            tuple(jnp.clip(e + x, -width, width) for e, x in zip(own, moved, strict=True))
-            for own, width in zip(memory, self._widths(vacuum), strict=True)
+        near, wide = self._widths(vacuum)
+        return (
+            tuple(near * dahl(e / near, x / near, self.order) for e, x in zip(memory[0], moved, strict=True)),
+            tuple(jnp.clip(e + x, -wide, wide) for e, x in zip(memory[1], moved, strict=True)),
         )
 
     def start(self, now):
@@ -174,21 +178,28 @@ NO_WAY = 1e-6
 
 
 class LayerWear(Effect):
-    """φ falls with the accumulated slip S: φ (1 − w (1 − exp(−(S/S₀)ᵏ))), S the way gone by the mean joint [rad]; k > 1
-    where a coat must first wear through, k < 1 where most is lost soon and some goes on being lost."""
+    """φ falls with the accumulated slip S, the way gone by the mean joint [rad]: φ (1 − w (1 − exp(−y))), y = (S/S₀)ᵏ;
+    k > 1 where a coat must first wear through, k < 1 where most is lost soon and some goes on being lost. A share e of
+    it goes evenly until it is gone (Archard's law), φ (1 − w y), y ≤ 1. Joints towards the base may have gone further,
+    S (1 + g x), x from 1 there to −1 at the tip."""
 
     id, block, axes = "layer_wear", "jamming", ("run", "time", "direction")
     loss: jax.Array = parameter("1", 0.0, -0.5, 0.95, 0.15)
     scale_rad: jax.Array = shape("rad", 10.0, 0.1, 1e3, (1.5, 6.0, 25.0))
     order: jax.Array = shape("1", 1.0, 0.4, 8.0, (3.0, 1.0))
+    evenly: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
     def start(self, now):
         return (now.worn,)
 
     def phi(self, memory, phi, now):
-        gone = jnp.exp(self.order * jnp.log(memory[0] / self.scale_rad + NO_WAY))
-        left = 1 + self.loss * jnp.expm1(-gone)
-        return tuple(p * left for p in phi)
+        out = []
+        for p, place in zip(phi, towards_base(self.to_base, len(phi)), strict=True):
+            gone = jnp.exp(self.order * jnp.log(positive(memory[0] * place) / self.scale_rad + NO_WAY))
+            worn = (1 - self.evenly) * jnp.expm1(-gone) - self.evenly * jnp.minimum(gone, 1.0)
+            out.append(p * (1 + self.loss * worn))
+        return tuple(out)
 
     def remember(self, memory, now, after):
         moved = sum(jnp.abs(b - a) for a, b in zip(now.q, after.q, strict=True))

@@ -14,6 +14,7 @@ from ljjax.effect import Now
 Vector = tuple[Array, ...]
 SHORT_S = 1e-6
 STEEP = 0.97
+NEAR_ONE, LEAST_LEFT = 0.02, 1e-6
 
 
 def positive(x: Array) -> Array:
@@ -53,6 +54,18 @@ def lagged(x: Array, held: Array, tau: Array, h: Array) -> tuple[Array, Array]:
     return x + (held - x) * (1 - decay) * tau / h, x + (held - x) * decay
 
 
+def pursued(x: Array, held: Array, tau: Array, power: Array, unit: float, h: Array) -> tuple[Array, Array]:
+    """The same of τẏ = (x − y) (|x − y|/unit)^(−power): a first-order lag for 0, a rate of its own, unit/τ, for 1."""
+    p = NEAR_ONE + (1 - NEAR_ONE) * power  # so that its derivative is there at 0
+    slow = tau > SHORT_S
+    apart = jnp.sqrt((x - held) ** 2 + (1e-3 * unit) ** 2) / unit
+    rest = jnp.where(slow, jnp.exp(p * jnp.log(apart)) - p * h / jnp.where(slow, tau, 1.0 + 0.0 * tau), -1.0 + 0.0 * h)
+    some = rest > 0
+    end = jnp.where(some, jnp.exp(jnp.log(jnp.where(some, rest, 1.0 + 0.0 * rest)) / p), 0.0 * rest)
+    mean = (apart ** (1 + p) - end ** (1 + p)) / (1 + p) * tau / h
+    return x + (held - x) * mean / apart, x + (held - x) * end / apart
+
+
 def ringing(x: Array, held: Array, speed: Array, tau: Array, r: Array, h: Array) -> tuple[Array, Array, Array]:
     """Mean over a step of h [s], and value and rate at its end, of a second-order lag of time constants τ (1 ± i r)
     that begins at `held` and `speed`, x constant: τ² (1 + r²) ÿ + 2 τ ẏ = x − y, two lags of τ for r = 0."""
@@ -85,6 +98,17 @@ def turned(way: Array, moved: Any, width: float | Array, rest: Array | None = No
     whole = jnp.abs(moved) if rest is None else jnp.abs(moved) + rest
     end = goal * (jnp.sign(moved) if rest is None else moved / whole)
     return end + (way - end) * jnp.exp(-whole / width)
+
+
+def dahl(z: Array, moved: Array, order: Array) -> Array:
+    """z in [−1, 1] after a way `moved`: dz/dx = (1 − z sgn ẋ)^order (Dahl); a spring that slides at ±1 for 0."""
+    way, left = jnp.sign(moved), 1 - order
+    left = jnp.where(jnp.abs(left) > NEAR_ONE, left, 2 * NEAR_ONE + left)  # so that its derivative is there at 1
+    before = jnp.maximum(1 - way * jnp.clip(z, -1.0, 1.0), LEAST_LEFT)
+    power = jnp.exp(left * jnp.log(before)) - left * jnp.abs(moved)
+    some = power > 0
+    after = jnp.where(some, jnp.exp(jnp.log(jnp.where(some, power, 1.0 + 0.0 * power)) / left), 0.0 * power)
+    return jnp.where(way == 0, z, way * (1 - after))
 
 
 def wave(phase: Array, sine: Array, cosine: Array, sine2: Array, cosine2: Array) -> Array:

@@ -134,6 +134,27 @@ def _moments(now: Now, weights: Sequence[Array], part: Vector) -> list[Array]:
     return out[::-1]
 
 
+def _inertia(now: Now, masses: Sequence[Array]) -> list[list[Array]]:
+    """The lower rows of what masses at the middles of the links add to M [kg·m²]; half of the last one."""
+    n, length = len(now.sin), now.model.chain.half_length_m
+    reach = [2.0 * length] * (n - 1) + [length]
+    links = [(r * across, r * along) for r, across, along in zip(reach, now.sin, now.cos, strict=True)]
+    total, square, first = 0.0 * masses[0], 0.0 * masses[0], (0.0 * masses[0],) * 2
+    rows: list[list[Array]] = []
+    for i in range(n - 1, -1, -1):  # Σ m, Σ m r and Σ m r² of the links from here on, r from this joint
+        own = masses[i] * (1.0 if i < n - 1 else 0.5)
+        pairs = list(zip(links[i], first, strict=True))
+        square = square + sum(x * (2 * f + (total + 0.25 * own) * x) for x, f in pairs)
+        first = tuple(f + (total + 0.5 * own) * x for x, f in pairs)
+        total = total + own
+        apart, row = (0.0 * total,) * 2, [square]
+        for k in range(i - 1, -1, -1):
+            apart = tuple(a + x for a, x in zip(apart, links[k], strict=True))
+            row.append(square + sum(a * f for a, f in zip(apart, first, strict=True)))
+        rows.append(row[::-1])
+    return rows[::-1]
+
+
 class BaseTilt(Effect):
     """Gravity not along the unbent body: α₁ sin(q_Σ − δ); and as the weight is spread along it, each link is drawn
     aside by a force f of its own."""
@@ -197,16 +218,27 @@ class TipPayload(Effect):
 
 class GravityDistribution(Effect):
     """Weight acts along the hanging body, not as one cosine: U = Σ m g hᵢ(q), from links of the weight w (the last of
-    half of it), more of it towards one end by w₁, beside α₁, which is fitted too."""
+    half of it), more or less of it along the body by modes, beside α₁, which is fitted too. A share s of what more a
+    link weighs has mass, where it is carried and not mistaken."""
 
     id, block, axes = "gravity_distribution", "structure", ("angle", "segment")
     link_weight_n: jax.Array = parameter("N", 0.0, -5.0, 20.0, 0.2)
     mode1: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.1)
+    mode2: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.1)
+    mode3: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.1)
+    of_mass: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+
+    def _weights(self, n):
+        none = 0.0 * self.mode1
+        return [self.link_weight_n + x for x in along((self.mode1, self.mode2, self.mode3, none, none), n)]
 
     def load(self, memory, load, now):
-        none = 0.0 * self.mode1
-        weights = [self.link_weight_n + x for x in along((self.mode1, none, none, none, none), len(load))]
-        return tuple(x - m for x, m in zip(load, _moments(now, weights, now.sin), strict=True))
+        moments = _moments(now, self._weights(len(load)), now.sin)
+        return tuple(x - m for x, m in zip(load, moments, strict=True))
+
+    def inertia(self, memory, m, now):
+        more = _inertia(now, [self.of_mass * positive(w) / GRAVITY for w in self._weights(len(m))])
+        return tuple(tuple(e + x for e, x in zip(*rows, strict=True)) for rows in zip(m, more, strict=True))
 
 
 SEAM_RAD = 0.02

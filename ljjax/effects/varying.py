@@ -213,8 +213,9 @@ def onsets(slip_rad: float, count: int) -> list[dict[str, float]]:
 
 
 def varies(kind: type[Effect]) -> bool:
-    """Whether anything that an effect does can vary, and does not yet: a mere transport delay cannot."""
-    if issubclass(kind, _Varying):
+    """Whether anything that an effect does can vary, and does not yet: a transport delay cannot."""
+    delays = kind.delay_s is not Effect.delay_s or kind.latency_s is not Effect.latency_s
+    if issubclass(kind, _Varying) or delays:
         return False
     hooks = ("actuate", "evacuate", "alpha2", "phi", "slip", "load", "torque", "sense")
     return any(getattr(kind, name) is not getattr(Effect, name) for name in hooks)

@@ -19,6 +19,7 @@ from ljjax.gap.inquiry import Inquiry, began, unfixed
 from ljjax.gap.search import Study
 from ljjax.gap.selection import Selection
 from ljjax.gap.stand_ins import QUICK, STAND_INS
+from ljjax.gap.variation import Variation
 from tests.fit.test_dynamic import guess, logged, robot
 
 
@@ -136,17 +137,16 @@ def test_what_begins_between_fitted_runs_is_not_told_of_those_in_between(onset, 
 def varied(*effects: BaseTilt) -> tuple[Inquiry, Any]:
     """Of a tilt in each of three runs: the inquiry, and the tilt as found to vary."""
     asked = inquiry(*effects)
+    study = asked.setting.study
     selection: Any = object.__new__(Selection)
-    selection.study, selection.base = asked.setting.study, asked.base
-    selection.screen = asked.setting.study.screen(asked.base)
-    selection.floor = asked.setting.study.floor(sum(len(m.t) for m in asked.setting.train))
+    selection.floor = study.floor(sum(len(m.t) for m in asked.setting.train))
     selection.excess = asked.base.total - selection.floor
     selection.measured, selection._joined = asked.measured, {}
     trial = Trial(("base_tilt",), {"effects.base_tilt.tilt_rad": 0.1})
-    (plain,) = asked.setting.study.refit(asked.base.model, [trial], None)
+    (plain,) = study.refit(asked.base.model, [trial], None)
     single = {"base_tilt": plain}
     assert selection.left(plain) > 0.3
-    selection._vary(single)
+    Variation(study, asked.base, study.screen(asked.base), selection.left).let(single)
     assert selection.left(single["base_tilt"]) < 0.02
     return asked, single["base_tilt"].effects[0]
 

@@ -12,10 +12,11 @@ import pytest
 from ljjax.effects import REGISTRY
 from ljjax.effects.varying import WAYS, varies, varying
 from ljjax.gap.candidates import Trial, either_side, pilots, sizes
-from ljjax.gap.channels import Channel, Fitted, Measured
+from ljjax.gap.channels import Channel, Fitted, Measured, look
 from ljjax.gap.screening import Column, Screen, clock, waves
 from ljjax.gap.search import FIRST, Study, _best, units
 from ljjax.gap.selection import Selection
+from ljjax.gap.variation import Variation
 
 
 def residuals(true: float, noise: float = 0.002) -> Any:
@@ -51,16 +52,13 @@ def test_a_ripple_is_found_among_waves_of_any_length(true):
     assert {form["waves"] for form in guessed} == set(kind.fields()["waves"]["pilots"])
 
 
-@pytest.mark.parametrize(("way", "reset", "phase"), [(1.0, 3.7, 0.3), (-1.0, 7.0, 0.8)])
+@pytest.mark.parametrize(("way", "reset", "phase"), [(1.0, 3.7, 0.3), (-1.0, 7.0, 0.8), (1.0, 0.32, 0.6)])
 def test_a_clock_that_is_set_now_and_then_is_heard_in_what_goes_with_the_rate(way, reset, phase):
     rng, t = np.random.default_rng(3), np.linspace(0.0, 15.0, 1500)
-    predicted = np.concatenate([0.1 * np.sin(1.7 * t) + 0.05 * np.sin(3.1 * t + k) for k in (0.0, 1.0)])
     rate = np.concatenate([0.17 * np.cos(1.7 * t) + 0.155 * np.cos(3.1 * t + k) for k in (0.0, 1.0)])
     late = 0.02 + way * 0.02 * (np.tile((t / reset + phase + 0.5) % 1.0, 2) - 0.5)
     error = 0.002 * rng.standard_normal(len(rate)) - late * rate
-    windows = SimpleNamespace(sample_t=np.tile(t, 2), sample_run=np.repeat([0, 1], len(t)), shape=lambda x: x)
-    found: Any = SimpleNamespace(windows=windows, predicted=predicted[:, None], shape_error=error[:, None])
-    heard = clock(found)
+    heard = clock(np.tile(t, 2), error[:, None], rate[:, None])
     assert heard["drift"] == way
     assert heard["reset_s"] == pytest.approx(reset, rel=0.05)
     assert abs((heard["phase"] - phase + 0.5) % 1.0 - 0.5) < 0.1
@@ -107,6 +105,21 @@ def test_a_measured_tension_takes_an_effect_within_the_shapes_doubt():
     assert 0.9 * apart < off(1e-4) < apart  # no further than a part of its typical size
     assert off(np.nan) == off(0.0)
     assert channel.rms_with([]) is None
+
+
+def test_measured_tensions_tell_of_commands_read_at_a_beat():
+    beat, t = 0.3, np.arange(0.0, 12.0, 0.01)
+    command = np.stack([5 + 2 * np.sin(2.0 * t), 5 + 2 * np.sin(2.0 * t + 1)], axis=1)
+    held = command[np.searchsorted(t, np.floor(t / beat + 1e-9) * beat, side="right") - 1]
+    value = held + 0.01 * np.random.default_rng(1).standard_normal(held.shape)
+    run = SimpleNamespace(signals={"tendons": SimpleNamespace(t=t, value=value)})
+    given = {"t": t, "y": np.zeros((len(t), 1)), "input_t": t, "tendons": command, "vacuum": 0.0 * t, "hold": False}
+    motion: Any = SimpleNamespace(run=run, source="commands", q0=np.zeros(2), **given)
+    (tension,) = look([motion], [REGISTRY["actuator_delay"], REGISTRY["actuator_lag"]]).channels
+    assert tension.best == "actuator_delay" and tension.left["actuator_lag"] > 0.15
+    assert tension.left["actuator_delay"] < 0.5 * tension.left["actuator_lag"]
+    assert tension.values["actuator_delay"]["reset_s"] == pytest.approx(beat, rel=0.01)
+    assert tension.values["actuator_delay"]["delay_seconds"] == pytest.approx(beat / 2, rel=0.1)
 
 
 def test_a_channel_is_heard_where_what_it_shows_matters_to_the_shape():
@@ -292,24 +305,23 @@ def test_leaders_that_leave_much_may_vary(alone, varied, vary):
             return [refitted(i, varied[i]) for i in asked]
 
     any_: Any = None
-    selection: Any = object.__new__(Selection)
-    selection.study = Told(any_, (), list(REGISTRY.values()), (any_, any_), 0.0, {"slip": 9.0})
-    selection.floor, selection.excess = 100.0, 900.0
-    selection.left = lambda refit: (refit.total - 100) / 900
+    study = Told(any_, (), list(REGISTRY.values()), (any_, any_), 0.0, {"slip": 9.0})
+    variation: Any = Variation(study, any_, any_, lambda refit: (refit.total - 100) / 900)
     others: list[set[str]] = []
-    selection._vary_others = lambda single, kinds, pilots, stage: others.append(set(kinds))
-    selection._vary_by_run = lambda single: others.append({"by run"})
+    variation._left_out = lambda refit: refit.total
+    variation._others = lambda single, kinds, pilots, stage: others.append(set(kinds))
+    variation._by_run = lambda single: others.append({"by run"})
     single = {i: refitted(i, x) for i, x in alone.items()}
-    selection._vary(single)
+    variation.let(single)
     assert set(asked) == set(varied)
-    sudden = {"pressure_bias", "rest_curvature", "base_tilt", "tip_payload", "contact", "sensor_bias"}
+    sudden = {"pressure_bias", "pressure_leak", "rest_curvature", "base_tilt", "tip_payload", "contact", "sensor_bias"}
     able = {i for i, k in REGISTRY.items() if varies(k)}
     assert others == (
-        [sudden, {"by run"}, able - set(varied)] if min(map(selection.left, single.values())) > 0.12 else []
+        [sudden, able - set(varied), {"by run"}] if min(map(variation.left, single.values())) > 0.12 else []
     )
-    assert {i for i, r in single.items() if selection.left(r) < alone[i]} == vary
-    free = {k.id for k in selection.study.kinds if "by_load" in k.fields()}
-    assert free == (set(varied) if vary else set())
+    assert {i for i, r in single.items() if variation.left(r) < alone[i]} == vary
+    free = {k.id for k in study.kinds if "by_load" in k.fields()}
+    assert free == vary
 
 
 def test_what_does_nothing_as_it_stands_may_vary_too():
@@ -341,20 +353,18 @@ def test_what_does_nothing_as_it_stands_may_vary_too():
         def varied(self, refits, stage):
             return list(refits)
 
-    selection: Any = object.__new__(Selection)
-    selection.study = Told(any_, (), kinds, (any_, any_), 0.0, {})
-    selection.screen, selection.base = before, SimpleNamespace(model=None)
-    selection.left = lambda refit: (refit.total - 100) / 900
+    study, base = Told(any_, (), kinds, (any_, any_), 0.0, {}), cast(Any, SimpleNamespace(model=None))
+    variation = Variation(study, base, before, lambda refit: (refit.total - 100) / 900)
     single = {i: refitted(Trial((i,)), 0.94) for i in ("viscous_damping", "contact", "base_tilt")}
     free = {k.id: varying(k) for k in kinds if k.id != "base_tilt"}
     by_bend = [{"by_load": 8.0}, {"by_bend": 8.0}]
-    selection._vary_others(single, free, lambda kind: by_bend[kind.id == "sensor_bias" :], "others that vary")
+    variation._others(single, free, lambda kind: by_bend[kind.id == "sensor_bias" :], "others that vary")
     assert {k[0] for k, f in forms.items() if "by_bend" in f} == {"viscous_damping", "contact", "sensor_bias"}
     bent = next(t for t in begun if t.ids == ("viscous_damping",)).start
     own = {p.split(".")[2]: x for p, x in bent.items()}
     assert own == {**dict.fromkeys(WAYS, 0.0), "by_bend": 8.0, "power": 1.8, "damping": 0.1}
-    assert selection.left(single["viscous_damping"]) == 0.05 and selection.left(single["contact"]) == 0.94
-    assert [k.id for k in selection.study.kinds if "by_bend" in k.fields()] == ["viscous_damping"]
+    assert variation.left(single["viscous_damping"]) == 0.05 and variation.left(single["contact"]) == 0.94
+    assert [k.id for k in study.kinds if "by_bend" in k.fields()] == ["viscous_damping"]
 
 
 @pytest.mark.parametrize("leaves, kept", [(0.05, True), (0.2, False)])
@@ -377,7 +387,7 @@ def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_from_
     selection.unit_of = lambda refit: 1e-4
     selection._further = lambda best, unit: [refitted(Trial(("contact", "base_tilt")), 0.38)]
     selection._pairs = lambda singles, hopeless: []
-    selection._prune = selection._exchange = selection._vary = lambda *_: None
+    selection._prune = selection._exchange = lambda *_: None
     selection._on_few = few
     steps = {(k.id, 0): Trial((k.id,), {f"effects.{k.id}.{next(iter(k.sizes()))}": 0.1}) for k in kinds}
     selection.study = SimpleNamespace(kinds=kinds, start=None, trial=lambda screen, key: (steps[key], None))

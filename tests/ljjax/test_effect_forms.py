@@ -13,6 +13,7 @@ import pytest
 
 from ljjax import energy
 from ljjax.effects import REGISTRY
+from ljjax.effects.shapes import dahl
 from ljjax.model import limits
 from ljjax.simulation import simulate
 from tests.ljjax.motion import AT, drive, seen
@@ -200,6 +201,20 @@ def test_cogging_pulls_a_slack_tendon_but_never_pushes():
     for tension in (0.3, 3.0, 30.0):
         assert pulled(tension, straight) == pytest.approx(tension + 1.0, abs=2e-3)
         assert pulled(tension) == pytest.approx(max(tension - 1.0, 0.0), abs=2e-3)
+
+
+@pytest.mark.parametrize("h", [0.002, 0.01, 0.04])
+def test_a_loop_of_limited_rate_goes_at_that_rate_whatever_the_step(h):
+    """A jump of 10 N at 5 N/0.01 s."""
+    kind: Any = REGISTRY["actuator_lag"]
+    lag, memory, out = kind(tau_s=0.01, power=1.0), (jnp.asarray(2.0),) * 4 + (jnp.zeros(()),) * 2, []
+    for _ in range(round(0.08 / h)):
+        (mean, _), memory = lag.actuate(memory, (jnp.asarray(12.0),) * 2, SimpleNamespace(h=jnp.asarray(h)))
+        out.append((float(mean), float(memory[0])))
+    ends = h * np.arange(1, len(out) + 1)
+    ramp = np.minimum(2 + 500 * np.linspace(0, 0.08, 8001), 12.0)
+    means = ramp[:-1].reshape(len(out), -1).mean(axis=1)
+    np.testing.assert_allclose(out, np.stack([means, np.minimum(2 + 500 * ends, 12.0)], axis=1), atol=0.02)
 
 
 def test_each_motor_may_lag_in_its_own_way():
@@ -478,3 +493,82 @@ def test_an_obstacle_beside_the_body_leaves_the_joints_beyond_it_free(robot):
     force = 300.0 * (np.sin(psi[:2]) - np.sin([0.02, 0.04])) @ links
     arms = [np.cos(psi[:2]) @ links, np.cos(psi[1]) * links[1], 0.0]
     np.testing.assert_allclose(load, -force * np.array(arms), atol=1e-9)
+
+
+def test_a_soft_lining_rubs_by_a_power_of_what_presses_it_and_an_uneven_one_by_its_place(robot):
+    kind: Any = REGISTRY["tendon_friction"]
+    model, zero = robot(2), jnp.zeros(())
+
+    def lost(tension: float, q: tuple[float, float], **form: float) -> np.ndarray:
+        """(2,) torques that a small friction takes at each joint while the body bends further, over the arm."""
+        now: Any = SimpleNamespace(
+            model=model, q=(zero, zero), middle=tuple(map(jnp.asarray, q)), u=(jnp.asarray(tension), zero)
+        )
+        load = kind(mu=0.01, **form).load((jnp.asarray(1.0),) * 2, (zero, zero), now)
+        return -np.array(list(map(float, load))) / float(model.chain.lever_arm_m)
+
+    bent = (0.2, 0.05)
+    np.testing.assert_allclose(lost(20.0, bent), [20 * 0.002, 20 * 0.0025], rtol=2e-3)
+    first = 0.002 * (20 * 0.2 / (10 * 0.1)) ** -0.3
+    second = 0.0005 * (20 * 0.05 / (10 * 0.1)) ** -0.3
+    np.testing.assert_allclose(lost(20.0, bent, power=0.7), 20 * np.cumsum([first, second]), rtol=2e-3)
+    np.testing.assert_allclose(lost(20.0, bent, to_base=0.5), 20 * np.cumsum([0.003, 0.00025]), rtol=2e-3)
+
+
+def test_a_command_may_be_read_at_a_beat_and_held():
+    """What is held is late by up to the beat, half of it on the mean."""
+    kind: Any = REGISTRY["actuator_delay"]
+    beat, h, rate = 0.2, 0.005, 8.0
+    late = kind(delay_seconds=beat / 2, drift=2.0, reset_s=beat, phase=0.5)
+    memory: tuple = (jnp.asarray(10.0 - rate * (beat / 2 + h)),) * 2
+    out, t = [], h * np.arange(200)
+    for begin in t:
+        u = (jnp.asarray(10.0 + rate * (begin - beat / 2)),) * 2  # as it comes, delayed
+        now: Any = SimpleNamespace(t=jnp.asarray(begin), h=jnp.asarray(h))
+        (left, _), memory = late.actuate(memory, u, now)
+        out.append(float(left))
+    held = 10.0 + rate * beat * np.floor((t + h / 2) / beat)
+    inside = np.abs((t + h / 2) / beat % 1.0 - 0.5) < 0.4  # it is handed on within a few hundredths of the beat
+    np.testing.assert_allclose(np.array(out)[inside], held[inside], atol=0.03 * rate * beat)
+
+
+@pytest.mark.parametrize("order", [0.0, 0.5, 1.0, 2.0])
+def test_layers_may_slide_little_by_little(order):
+    """Dahl's model, against its differential equation in small steps, there and back."""
+    way = 0.03 * np.concatenate([np.linspace(0, 2.5, 500), np.linspace(2.5, -1.0, 700)])
+    z, held, out = 0.0, jnp.zeros(()), []
+    for k in range(1, len(way)):
+        x = way[k] - way[k - 1]
+        for _ in range(20):
+            z = float(np.clip(z + x / 20 / 0.03 * max(1 - z * np.sign(x), 0.0) ** order, -1, 1))
+        held = dahl(held, jnp.asarray(x / 0.03), jnp.asarray(order))
+        out.append((z, float(held)))
+    exact, found = np.array(out).T
+    np.testing.assert_allclose(found, exact, atol=0.02)
+    assert exact.max() > 0.7 and exact.min() < -0.6
+    kind: Any = REGISTRY["layer_hysteresis"]
+    steep = jax.grad(lambda p: kind(torque_nm=1.0, order=p)._stuck(((0.01,), (0.0,)), (0.01,), 0.0)[0][0])
+    assert np.isfinite(steep(0.0)) and float(steep(1.0)) < -1e-4  # it is stretched less, the larger the order
+
+
+def test_a_coat_may_go_evenly_until_it_is_gone():
+    kind: Any = REGISTRY["layer_wear"]
+    worn = kind(loss=0.6, scale_rad=20.0, evenly=1.0)
+    left = [float(worn.phi((jnp.asarray(s),), (jnp.ones(()),), None)[0]) for s in (0.0, 5.0, 10.0, 30.0)]
+    np.testing.assert_allclose(left, [1.0, 0.85, 0.7, 0.4], atol=1e-6)
+
+
+def test_what_links_carry_has_mass(robot):
+    """A body of two links: its energy by hand."""
+    kind: Any = REGISTRY["gravity_distribution"]
+    model = robot(2)
+    length, psi = float(model.chain.half_length_m), np.array([0.3, 0.8])
+    now: Any = SimpleNamespace(model=model, sin=tuple(np.sin(psi)), cos=tuple(np.cos(psi)))
+    none = ((0.0,), (0.0, 0.0))
+    carried = kind(link_weight_n=0.4, of_mass=1.0).inertia((), none, now)
+    mass, axis = 0.4 / 9.80665, np.stack([np.sin(psi), np.cos(psi)], axis=1)
+    first, second = length * axis[0], 0.5 * length * axis[1]  # from each joint to the middle of its link
+    whole = 2 * length * axis[0] + second
+    expected = [first @ first + 0.5 * whole @ whole, 0.5 * whole @ second, 0.5 * second @ second]
+    np.testing.assert_allclose([carried[0][0], *carried[1]], mass * np.array(expected), rtol=1e-6)
+    assert jax.tree.leaves(kind(link_weight_n=0.4).inertia((), none, now)) == [0.0, 0.0, 0.0]

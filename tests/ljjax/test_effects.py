@@ -207,7 +207,7 @@ def test_an_effect_that_does_not_vary_is_as_it_was(robot, everything):
     bare = seen(robot(3), drive())
     assert float(jnp.abs(plain - bare).max()) > 0.01
     np.testing.assert_allclose(free, plain, rtol=0, atol=1e-11)
-    assert [k.id for k in REGISTRY.values() if not varies(k)] == ["actuator_delay"]
+    assert [k.id for k in REGISTRY.values() if not varies(k)] == ["actuator_delay", "sensor_delay"]
 
 
 def test_a_way_to_vary_changes_the_motion_and_has_the_right_derivative(robot):

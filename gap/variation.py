@@ -1,0 +1,166 @@
+"""Effects let vary: in strength with what acts on them, from a moment of the session on, from run to run."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ljjax.effect import Effect
+from ljjax.effects import REGISTRY
+from ljjax.effects.varying import EACH, PILOTS, onsets, varies, varying, ways
+from ljjax.fit import folds
+from ljjax.gap.candidates import Trial, either_side, path, still
+from ljjax.gap.screening import Screen, ahead
+from ljjax.gap.search import Refit, Study
+
+FURTHER = 0.12
+"""The share of the gap, left by one effect, from which the others are begun otherwise."""
+VARYING, VARIED, NEARBY, HOPELESS, NOTABLY = 3, 0.02, 2.5, 0.9, 0.75
+"""How many effects alone are let vary, where the best leaves more than this share of the gap: those that leave no more
+than so many times as much, nor nearly all of it; and the share of what each left that is less by enough."""
+SOME = 0.1
+"""The share of what an effect that is another in each run does in the most telling one that it begins with at least, as
+it may have no slope where there is none of it."""
+ONSETS = 24
+"""How many moments of the session a sudden effect is tried to begin at, where nothing explains the gap."""
+
+
+@dataclass
+class Variation:
+    """The single effects of a search, free to vary.
+
+    Attributes:
+        study: whose kinds come to be those that vary, where these are better.
+        base, screen: refitted without an effect, and what is promised on top of it.
+        left: the share of the gap that a refit leaves.
+    """
+
+    study: Study
+    base: Refit
+    screen: Screen
+    left: Callable[[Refit], float]
+
+    def let(self, single: dict[str, Refit]) -> None:
+        """The best effects once more, free to vary in strength with what acts on them, where they leave much: a true
+        cause seldom has the library's form. Those that then leave notably less stay so, if they also leave less of
+        conditions left out: what varies much carries over badly."""
+        ordered = sorted(single.values(), key=self.left)
+        least = self.left(ordered[0])
+        if least <= VARIED:
+            return
+        near = [r for r in ordered if self.left(r) < NEARBY * least and self.left(r) < HOPELESS][:VARYING]
+        kinds = {k.id: varying(k) for k in self.study.kinds if varies(k) and any(r.ids == (k.id,) for r in near)}
+        free = self._free(kinds)
+        varied = free.varied([single[i] for i in kinds], "varying effects")
+        better = self._better(single, varied)
+        if kept := {i: r for i, r in better.items() if self._left_out(r) < self._left_out(single[i])}:
+            self.study.kinds = self._free({i: kinds[i] for i in kept}).kinds
+            single |= kept
+        if self._unexplained(single):
+            begun = onsets(self.study.span["slip"], ONSETS)
+            self._others(single, self._sudden(), lambda kind: begun, "effects that begin at once")
+        if self._unexplained(single):
+            others = {k.id: varying(k) for k in self.study.kinds if varies(k) and k.id not in kinds}
+            self._others(
+                single,
+                others,
+                lambda kind: [{way: much} for way, much in PILOTS if way in ways(kind)],
+                "others that vary",
+            )
+        if self._unexplained(single):
+            self._by_run(single)
+
+    def _left_out(self, refit: Refit) -> float:
+        """The loss of a refit where each condition is left out, to first order."""
+        return float(self.study.cost(folds.left_out(refit.estimate, self._fold)).sum())
+
+    @cached_property
+    def _fold(self) -> np.ndarray:
+        return folds.conditions(self.study.motions)[1]
+
+    def _unexplained(self, single: Mapping[str, Refit]) -> bool:
+        return min(map(self.left, single.values())) > FURTHER
+
+    def _sudden(self, until: tuple[float, ...] | None = None) -> dict[str, type[Effect]]:
+        """What is put on, moved or set, as it may begin at a moment, or change from run to run."""
+        return {k.id: varying(REGISTRY.get(k.id, k), until) for k in self.study.kinds if k.sudden}
+
+    def _others(
+        self,
+        single: dict[str, Refit],
+        kinds: Mapping[str, type[Effect]],
+        pilots: Callable[[type[Effect]], list[dict[str, float]]],
+        stage: str,
+    ) -> None:
+        """Effects that promise most where they vary in one of the ways `pilots`: what varies much may do nothing as it
+        stands."""
+        free, screen = self._free(kinds), self._screened(kinds, pilots)
+        first = [key for key in ahead(screen, len(screen.ids)) if key[0] in kinds][:VARYING]
+        steps = {}
+        for key in first:
+            trial, step = free.trial(screen, key)
+            steps[Trial(trial.ids, {**still(kinds[key[0]]), **trial.start})] = step
+        found = free.refit(self.base.model, list(steps), screen, steps, stage, finish=VARYING)
+        around = [t for trial in steps for t in either_side(trial, free.kinds)]
+        found += free.refit(self.study.start, around, None, stage=f"{stage}, from the given model", finish=VARYING)
+        self._keep(single, found, kinds, stage)
+
+    def _by_run(self, single: dict[str, Refit]) -> None:
+        """Effects that promise most where they are others in each run: of each size by the run in which it is largest,
+        in the others as much of it as goes along with that."""
+        starts = [float(m.worn[0]) for m in self.study.motions]
+        until = tuple((a + b) / 2 for a, b in itertools.pairwise(starts))
+        kinds, runs = self._sudden(until), range(len(starts))
+        alone = [{EACH.format(r + 1): float(k == r) - 1 for r in runs} for k in runs]
+        screen = self._screened(kinds, lambda kind: alone)
+        gain = {i: sum(screen.gains[i, k] for k in runs) for i in kinds}
+        trials = []
+        for i in sorted(gain, key=lambda i: -gain[i])[:VARYING]:
+            step = np.array([list(screen.steps[i, k].values()) for k in runs])
+            most = int(np.argmax(np.sum(step**2, axis=1)))
+            along = step @ step[most] / max(float(step[most] @ step[most]), 1e-300)
+            along = np.where(np.abs(along) < SOME, SOME, along)
+            sizes = {path(kinds[i], n): x for n, x in screen.steps[i, most].items()}
+            shares = {path(kinds[i], EACH.format(k + 1)): float(along[k]) - 1 for k in runs if k != most}
+            forms = {path(kinds[i], n): x for n, x in self.screen.forms[self.screen.best(i)].items()}
+            trials.append(Trial((i,), {**sizes, **shares, **forms}))
+        free = self._free(kinds)
+        stage = "effects that change from run to run"
+        found = free.refit(self.base.model, trials, None, stage=stage, finish=VARYING)
+        found += free.refit(self.study.start, trials, None, stage=f"{stage}, from the given model", finish=VARYING)
+        self._keep(single, found, kinds, stage)
+
+    def _screened(
+        self, kinds: Mapping[str, type[Effect]], pilots: Callable[[type[Effect]], list[dict[str, float]]]
+    ) -> Screen:
+        """The screen of the base where these effects are tried as `pilots` say, others as they did best."""
+
+        def forms(kind: type[Effect]) -> list[dict[str, float]]:
+            usual = dict(self.screen.forms[self.screen.best(kind.id)])
+            return [{**usual, **way} for way in pilots(kind)] if kind.id in kinds else [usual]
+
+        return self._free(kinds).screen(self.base, forms)
+
+    def _keep(
+        self, single: dict[str, Refit], found: Sequence[Refit], kinds: Mapping[str, type[Effect]], stage: str
+    ) -> None:
+        """Of effects found to vary those that leave notably less stay so, and are taken further."""
+        if kept := self._better(single, found):
+            self.study.kinds = self._free({i: kinds[i] for i in kept}).kinds
+            single |= self._better(single, self.study.varied(list(kept.values()), f"{stage}, once more"))
+
+    def _free(self, kinds: Mapping[str, type[Effect]]) -> Study:
+        """The study with these effects in place of those of the same ids."""
+        return replace(self.study, kinds=[kinds.get(k.id, k) for k in self.study.kinds])
+
+    def _better(self, single: Mapping[str, Refit], found: Sequence[Refit]) -> dict[str, Refit]:
+        """Of refits of effects that vary the best of each that leaves notably less than it did before."""
+        best: dict[str, Refit] = {}
+        for r in sorted(found, key=self.left):
+            if self.left(r) < NOTABLY * (self.left(single[r.ids[0]]) if r.ids[0] in single else 1.0):
+                best.setdefault(r.ids[0], r)
+        return best
