@@ -368,7 +368,10 @@ def test_what_does_nothing_as_it_stands_may_vary_too():
 
 
 @pytest.mark.parametrize("leaves, kept", [(0.05, True), (0.2, False)])
-def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_from_the_given_model(leaves, kept):
+def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_from_the_given_model(
+    leaves, kept, monkeypatch
+):
+    monkeypatch.setattr(Variation, "let", lambda self, single: None)
     kinds = list(REGISTRY.values())
     begun: list[Trial] = []
 
@@ -388,6 +391,7 @@ def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_from_
     selection._further = lambda best, unit: [refitted(Trial(("contact", "base_tilt")), 0.38)]
     selection._pairs = lambda singles, hopeless: []
     selection._prune = selection._exchange = lambda *_: None
+    selection.base = selection.screen = None
     selection._on_few = few
     steps = {(k.id, 0): Trial((k.id,), {f"effects.{k.id}.{next(iter(k.sizes()))}": 0.1}) for k in kinds}
     selection.study = SimpleNamespace(kinds=kinds, start=None, trial=lambda screen, key: (steps[key], None))
