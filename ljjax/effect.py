@@ -97,7 +97,7 @@ class Effect(eqx.Module):
     modes_of_theta: ClassVar[int] = 0
     """How many of the parameters `mode1`, `mode2` … show where the mean angle alone is logged."""
     sudden: ClassVar[bool] = False
-    """Whether it may begin at a moment, or be another in each run: what is put on, moved or set."""
+    """Whether it may begin at a moment, or be another in each run: what is put on, moved, set or torn."""
     file: ClassVar[str] = ""
     """Where the class was loaded from, if it is not one of the package's."""
 
