@@ -239,9 +239,9 @@ class Study:
 
     def _begun(self, like: Model, trial: Trial) -> Model:
         whole = universal(like, self.kinds)
-        known = {f"effects.{e.id}.{n}": float(getattr(e, n)) for e in like.effects for n in e.fields()}
-        own = {p: x for p, x in known.items() if p.split(".")[1] in trial.ids}
-        return replace(whole, {**own, **_inside(trial.start, limits(whole))})
+        known, free = limits(whole), {f"effects.{e.id}.{n}": getattr(e, n) for e in like.effects for n in e.fields()}
+        own = {p: float(x) for p, x in free.items() if p.split(".")[1] in trial.ids and p in known}
+        return replace(whole, {**own, **_inside(trial.start, known)})
 
     def _refit(
         self,

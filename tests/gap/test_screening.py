@@ -17,6 +17,7 @@ from ljjax.gap.screening import Column, Screen, clock, waves
 from ljjax.gap.search import FIRST, Study, _best, units
 from ljjax.gap.selection import Selection
 from ljjax.gap.variation import Variation
+from tests.fit.test_dynamic import robot
 
 
 def residuals(true: float, noise: float = 0.002) -> Any:
@@ -400,6 +401,18 @@ def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_from_
     assert {t.ids for t in begun} == {("contact", k.id) for k in kinds if k.id != "contact"}
     assert all(t.start["effects.contact.stop"] == 7.0 and t.size == 2 for t in begun)
     assert found.best.ids == (("contact", "sensor_bias") if kept else ("contact",))
+
+
+def test_a_further_effect_begins_as_it_stands_though_it_varied_where_the_first_was_found():
+    """It was let vary on trial, and did not come to."""
+    tilt, gain = cast(Any, REGISTRY["base_tilt"]), REGISTRY["actuator_gain"]
+    free: Any = varying(gain)
+    like = dataclasses.replace(robot(), effects=(tilt(tilt_rad=0.1), free(difference=0.02, by_load=0.5)))
+    any_: Any = None
+    study = Study(any_, (), [tilt, gain], (any_, any_), 0.0, {})
+    begun = study._begun(like, Trial(("base_tilt", "actuator_gain"), {"effects.actuator_gain.error": 0.05}))
+    values = {n: float(getattr(e, n)) for e in begun.effects for n in e.fields() if float(getattr(e, n)) != 0}
+    assert values == {"tilt_rad": 0.1, "difference": 0.02, "error": 0.05}
 
 
 def test_a_gap_in_one_joint_of_six_counts_for_what_it_is():
