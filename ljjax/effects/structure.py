@@ -219,21 +219,25 @@ class TipPayload(Effect):
 class GravityDistribution(Effect):
     """Weight acts along the hanging body, not as one cosine: U = Σ m g hᵢ(q), from links of the weight w (the last of
     half of it), more or less of it along the body by modes, beside α₁, which is fitted too. A share s of what more a
-    link weighs has mass, where it is carried and not mistaken."""
+    link weighs has mass, where it is carried and not mistaken. Of what rests on something while the body hangs, cables
+    or hoses, a link at ψ lifts r sin²ψ times as much more."""
 
     id, block, axes = "gravity_distribution", "structure", ("angle", "segment")
     link_weight_n: jax.Array = parameter("N", 0.0, -5.0, 20.0, 0.2)
     mode1: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.1)
     mode2: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.1)
     mode3: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.1)
+    mode4: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.1)
+    mode5: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.1)
     of_mass: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    lifted: jax.Array = shape("1", 0.0, -0.5, 5.0, (1.0, 0.0))
 
     def _weights(self, n):
-        none = 0.0 * self.mode1
-        return [self.link_weight_n + x for x in along((self.mode1, self.mode2, self.mode3, none, none), n)]
+        modes = self.mode1, self.mode2, self.mode3, self.mode4, self.mode5
+        return [self.link_weight_n + x for x in along(modes, n)]
 
     def load(self, memory, load, now):
-        moments = _moments(now, self._weights(len(load)), now.sin)
+        moments = _moments(now, self._weights(len(load)), tuple(x * (1 + self.lifted * x * x) for x in now.sin))
         return tuple(x - m for x, m in zip(load, moments, strict=True))
 
     def inertia(self, memory, m, now):
@@ -283,10 +287,12 @@ class Contact(Effect):
     angle_rad: jax.Array = shape("rad", 0.1, -2.0, 2.0, (0.35, -0.35, 0.7, -0.7), "angle")
     rough: jax.Array = shape("1", 0.4, 0.0, 2.0, (0.4,))
     share: jax.Array = shape("1", 1.0, 0.1, 1.0, (0.5, 1.0))
+    to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
     def torque(self, memory, i, q, v, stage):
         side = jnp.where(self.angle_rad < 0, -1.0 + 0.0 * q, 1.0 + 0.0 * q)
-        return self.stop * side * positive(side * (q - self.angle_rad))
+        place = towards_base(self.to_base, len(stage.alpha2))[i]
+        return self.stop * place * side * positive(side * (q - self.angle_rad))
 
     def _obstacle(self, now: Now) -> tuple[Array, Vector, Array, Vector]:
         """The obstacle's force [N] and how far each joint moves what it touches towards it [m]; how heavily it damps

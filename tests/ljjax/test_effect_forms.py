@@ -572,3 +572,16 @@ def test_what_links_carry_has_mass(robot):
     expected = [first @ first + 0.5 * whole @ whole, 0.5 * whole @ second, 0.5 * second @ second]
     np.testing.assert_allclose([carried[0][0], *carried[1]], mass * np.array(expected), rtol=1e-6)
     assert jax.tree.leaves(kind(link_weight_n=0.4).inertia((), none, now)) == [0.0, 0.0, 0.0]
+
+
+def test_what_rests_on_the_floor_weighs_more_the_further_it_is_lifted(robot):
+    """Two links, the outer one half as long: their moments by hand, each weight times 1 + r sin²ψ."""
+    kind: Any = REGISTRY["gravity_distribution"]
+    model = robot(2)
+    length, psi, weight = float(model.chain.half_length_m), np.array([0.3, -0.8]), np.array([0.4, 0.2])
+    now: Any = SimpleNamespace(model=model, sin=tuple(np.sin(psi)), cos=tuple(np.cos(psi)))
+    moments = -np.array(kind(link_weight_n=0.4, lifted=2.0).load((), (0.0, 0.0), now))
+    across = np.sin(psi) * (1 + 2.0 * np.sin(psi) ** 2)
+    outer = weight[1] * 0.5 * length * across[1]
+    inner = outer + (weight[0] + 2 * weight[1]) * length * across[0]
+    np.testing.assert_allclose(moments, [inner, outer], rtol=1e-6)
