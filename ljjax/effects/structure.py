@@ -276,9 +276,10 @@ CREEP_M_S = 1e-3
 
 
 class Contact(Effect):
-    """One-sided contact, on the side the angle q_c says: an end stop k_c (q − q_c)₊ in every joint, and an obstacle
-    beside the tip, or beside what lies a share of the body's length from the base, where that is when every joint is
-    at q_c, that pushes back with k_t times the way beyond it and rubs with μ times that, along the unbent body."""
+    """One-sided contact, on the side the angle q_c says: an end stop k_c (q − q_c)₊ in every joint, stiffer to
+    the base, or the tip, by a share g; and an obstacle beside the tip, or beside what lies a share of the body's length
+    from the base, where that is when every joint is at q_c, that pushes back with k_t times the way beyond it and rubs
+    with μ times that, along the unbent body."""
 
     id, block, axes = "contact", "structure", ("angle",)
     sudden = True

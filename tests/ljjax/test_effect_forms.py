@@ -585,3 +585,12 @@ def test_what_rests_on_the_floor_weighs_more_the_further_it_is_lifted(robot):
     outer = weight[1] * 0.5 * length * across[1]
     inner = outer + (weight[0] + 2 * weight[1]) * length * across[0]
     np.testing.assert_allclose(moments, [inner, outer], rtol=1e-6)
+
+
+def test_an_end_stop_may_be_stiffer_to_the_base():
+    kind: Any = REGISTRY["contact"]
+    stop = kind(stop=3.0, angle_rad=-0.2, to_base=0.5)
+    stage: Any = SimpleNamespace(alpha2=(0.0,) * 3)
+    torques = [float(stop.torque((), i, jnp.asarray(-0.3), 0.0, stage)) for i in range(3)]
+    np.testing.assert_allclose(torques, -3.0 * 0.1 * np.array([1.5, 1.0, 0.5]), rtol=1e-6)
+    assert float(stop.torque((), 0, jnp.asarray(0.3), 0.0, stage)) == 0.0
