@@ -12,7 +12,8 @@ from ljjax.fit.windows import Motion
 from ljjax.logs import Run
 
 SELF_HEATING_K, SELF_HEATING_S = 10.0, 600.0
-"""How a robot is taken to warm where no temperature is logged."""
+"""What a robot is taken to warm to while it runs where no temperature is logged, and how fast; between two runs it
+cools as fast."""
 
 
 def in_order(motions: Sequence[Motion]) -> list[Motion]:
@@ -22,7 +23,7 @@ def in_order(motions: Sequence[Motion]) -> list[Motion]:
         return []
     first = ordered[0].run
     cold = None
-    slipped, out = 0.0, []
+    slipped, heated, ended, out = 0.0, 0.0, 0.0, []
     for m in ordered:
         way = travel(m.y, m.noise)
         session = (m.run.t0_ns - first.t0_ns) * 1e-9 + m.t
@@ -32,7 +33,9 @@ def in_order(motions: Sequence[Motion]) -> list[Motion]:
             cold = float(value[0]) if cold is None else cold
             warm = value - cold
         else:
-            warm = SELF_HEATING_K * -np.expm1(-session / SELF_HEATING_S)
+            heated *= np.exp(-(session[0] - ended) / SELF_HEATING_S)
+            warm = SELF_HEATING_K - (SELF_HEATING_K - heated) * np.exp(-(m.t - m.t[0]) / SELF_HEATING_S)
+            heated, ended = float(warm[-1]), float(session[-1])
         out.append(replace(m, warm=warm, worn=slipped + way))
         slipped += float(way[-1])
     return out

@@ -71,8 +71,9 @@ SMALL = 1e-5
 class ThermalDrift(Effect):
     """Friction and stiffness drift as the robot warms: times 1 + b W, W = (1 − exp(−c ΔT))/c, which is ΔT for c = 0 and
     soon at its end for a large c; W exp(−f ΔT₊) for friction, the most at 1/f where layers rub most when they are
-    lukewarm. Where no temperature is logged ΔT is the time since the first run began, 10 K (1 − exp(−t/600 s)), and c
-    says how much faster, or slower, the robot is."""
+    lukewarm. Where no temperature is logged ΔT is that of a robot that warms while it runs and cools in between,
+    towards 10 K and back within 600 s, 10 K (1 − exp(−t/600 s)) in a first run, and c says how much faster it is, or
+    slower."""
 
     id, block, axes = "thermal_drift", "friction", ("run", "time", "direction")
     friction_per_k: jax.Array = parameter("1/K", 0.0, -2.0, 2.0, 0.01)

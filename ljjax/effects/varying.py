@@ -35,7 +35,7 @@ WAYS = {
     "by_vacuum": f"P/(P + {VACUUM_KPA:g} kPa)",
     "by_bend": f"q²/(q² + ({BEND_RAD:g} rad)²), q of the mean joint",
     "by_rate": f"v²/(v² + ({RATE_RAD_S:g} rad/s)²), v of the mean joint",
-    "by_warmth": f"W/(abs(W) + {WARMTH_K:g} K), W the warming since the first run, by the clock where none is logged",
+    "by_warmth": f"W/(abs(W) + {WARMTH_K:g} K), W the warming since the first run, `thermal_drift`'s if none is logged",
     "by_sense": f"qv/(abs(qv) + {SENSE_RAD2_S:g} rad²/s), positive where the body bends further",
 }
 """What an effect may vary with, and how."""

@@ -1,0 +1,43 @@
+"""What a run inherits from those before it."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from ljjax.fit.windows import Motion
+from ljjax.gap.data import in_order
+
+
+def run(start_s: float, seconds: float, **signals: Any) -> Motion:
+    """A run in which the shape goes from 0 to 0.5 rad."""
+    t = np.linspace(0.0, seconds, 301)
+    log: Any = SimpleNamespace(t0_ns=round(start_s * 1e9), signals=signals)
+    given = {name: np.zeros(1) for name in ("noise", "q0", "v0", "input_t", "vacuum", "worn", "warm")}
+    motion: Any = Motion(
+        **{**given, "noise": np.full(1, 1e-6)},
+        **{"run": log, "source": "commands", "t": t, "y": np.linspace(0.0, 0.5, 301)[:, None]},
+        **{"q0_sd": 0.0, "tendons": np.zeros((1, 2)), "hold": False},
+    )
+    return motion
+
+
+def test_without_a_thermometer_a_robot_warms_while_it_runs_and_cools_in_between():
+    """Towards 10 K within 600 s, and back; in runs that follow each other at once as in one run."""
+    alone = in_order([run(5.0, 60.0)])[0]
+    np.testing.assert_allclose(alone.warm, 10 * (1 - np.exp(-alone.t / 600)), rtol=1e-9)
+    second, first = in_order([run(65.0, 60.0), run(5.0, 60.0)])[::-1]
+    np.testing.assert_allclose([first.warm[-1], second.warm[-1]], 10 * (1 - np.exp(-np.array([60, 120]) / 600)))
+    rested = in_order([run(0.0, 60.0), run(360.0, 60.0)])[1]
+    np.testing.assert_allclose(rested.warm[0], alone.warm[-1] * np.exp(-300 / 600), rtol=1e-9)
+
+
+def test_a_temperature_that_is_logged_counts_from_the_first_run_on():
+    def warmed(kelvin: float) -> Any:
+        return SimpleNamespace(t=np.array([0.0, 60.0]), value=np.array([[20.0 + kelvin], [21.0 + kelvin]]))
+
+    first, second = in_order([run(0.0, 60.0, temperature=warmed(0.0)), run(90.0, 60.0, temperature=warmed(3.0))])
+    np.testing.assert_allclose([first.warm[-1], second.warm[0]], [1.0, 3.0])
+    np.testing.assert_allclose([second.worn[0], second.worn[-1]], [0.5, 1.0], atol=0.01)  # slip carries over too
