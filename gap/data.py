@@ -9,11 +9,8 @@ import numpy as np
 
 from ljjax.errors import InputError
 from ljjax.fit.windows import Motion
+from ljjax.live import SELF_HEATING_K, SELF_HEATING_S
 from ljjax.logs import Run
-
-SELF_HEATING_K, SELF_HEATING_S = 10.0, 600.0
-"""What a robot is taken to warm to while it runs where no temperature is logged, and how fast; between two runs it
-cools as fast."""
 
 
 def in_order(motions: Sequence[Motion]) -> list[Motion]:

@@ -15,7 +15,8 @@ from ljjax.model import Model, astype
 from ljjax.step import Drive, How, advance, at_rest, constants
 
 SELF_HEATING_K, SELF_HEATING_S = 10.0, 600.0
-"""How a robot warms, as the effect `thermal_drift` has it where no temperature is logged."""
+"""What a robot warms to while it runs, and how fast, as the effect `thermal_drift` has it where no temperature is
+logged; between two runs it cools as fast."""
 
 
 class Live:
