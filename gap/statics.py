@@ -28,7 +28,7 @@ from ljjax.model import Model, get, leaf, replace
 
 LONG_S = 1e9
 """A step so long that every lag has settled."""
-ITERATIONS, SETTLED_N = 60, 1e-12
+ITERATIONS, SETTLED_N = 20, 1e-12
 TILE = 256
 """Operating points computed at once."""
 SIZES = (0.1, 1e-3, 0.05, 1.0, 10.0, 3.0)
@@ -178,16 +178,16 @@ class Laws:
         return out.reshape(*x.shape[:-1], len(points))
 
     def slopes(self, x: np.ndarray, points: Points, active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(…, N) the same, and its derivatives (…, N, k) by the parameters `active`, as differences over a
-        ten-thousandth of a parameter's typical size within its bounds: they need no program of their own."""
+        """(…, N) the same, and its derivatives (…, N, k) by the parameters `active`, as differences over a millionth of
+        a parameter's typical size, within its bounds: they need no program of their own."""
         k, at = len(active), np.arange(len(active))
-        step = 1e-4 * self.scale[active]
-        moved = np.repeat(x[..., None, :], 1 + 2 * k, axis=-2)
-        moved[..., 1 + at, active] = np.minimum(x[..., active] + step, self.high[active])
-        moved[..., 1 + k + at, active] = np.maximum(x[..., active] - step, self.low[active])
-        width = (moved[..., 1 + at, active] - moved[..., 1 + k + at, active])[..., None]
+        step = 1e-6 * self.scale[active]
+        step = np.where(x[..., active] + step <= self.high[active], step, -step)
+        moved = np.repeat(x[..., None, :], 1 + k, axis=-2)
+        moved[..., 1 + at, active] += step
         out = self.values(moved, points)
-        return out[..., 0, :], np.swapaxes((out[..., 1 : 1 + k, :] - out[..., 1 + k :, :]) / width, -1, -2)
+        rise = np.swapaxes(out[..., 1:, :] - out[..., :1, :], -1, -2)
+        return out[..., 0, :], rise / step[..., None, :]
 
     def build(self, x: np.ndarray, effects: Sequence[str]) -> Model:
         """The model with the parameters x that holds these effects only."""
