@@ -7,6 +7,7 @@ between two candidates' traces, and the distribution of the largest gain where t
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -94,6 +95,20 @@ class Screen:
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         draws = root @ rng.standard_normal((len(self.columns), DRAWS))
         return np.max([self._gain(k, draws) for k in self.gains], axis=0)
+
+    def promised(self, count: int) -> list[tuple[tuple[str, str], dict[str, dict[str, float]]]]:
+        """The pairs of effects, each in its best form, that gain most together to first order, and by effect the
+        values at that gain: what two share alone can hide each of them among the singles."""
+        found: list[tuple[float, tuple[str, str], dict[str, dict[str, float]]]] = []
+        for keys in itertools.combinations([self.best(i) for i in self.ids], 2):
+            i = [j for key in keys for j in self.of(key)]
+            mine, own = [self.columns[j] for j in i], np.ix_(i, i)
+            x = _least(self.gram[own], self.score[i], mine)
+            values: dict[str, dict[str, float]] = {key[0]: dict(self.forms[key]) for key in keys}
+            for c, v in zip(mine, x, strict=True):
+                values[c.id][c.name] = float(v)
+            found.append((_gained(self.gram[own], self.score[i], x), (keys[0][0], keys[1][0]), values))
+        return [(ids, values) for _, ids, values in sorted(found, key=lambda f: -f[0])[:count]]
 
     def _gain(self, key: tuple[str, int], score: np.ndarray) -> np.ndarray:
         """(D,) the drop of χ² that scores (m, D) promise a candidate."""
@@ -308,16 +323,21 @@ def gather(
         i = [j for j, x in enumerate(columns) if (x.id, x.form) == key]
         mine, own = [columns[j] for j in i], np.ix_(i, i)
         x = _least(gram[own], score[i], mine)
-        gains[key] = float(2 * score[i] @ x - x @ gram[own] @ x)
+        gains[key] = _gained(gram[own], score[i], x)
         firm[key] = 0.0
         for g, s in zip(grams, scores, strict=True):
             other = _least((gram - g)[own], (score - s)[i], mine)
-            firm[key] += float(2 * s[i] @ other - other @ g[own] @ other)
+            firm[key] += _gained(g[own], s[i], other)
         steps[key] = {c.name: float(v) for c, v in zip(mine, x, strict=True)}
         base_steps[key] = inverse @ (q.T @ r.reshape(-1) - along[:, i] @ x)
     assert first.point is not None
     whole = first.point.answer.jacobian
     return Screen(columns, forms, gram, score, sigma, gains, firm, steps, base_steps, whole)
+
+
+def _gained(gram: np.ndarray, score: np.ndarray, x: np.ndarray) -> float:
+    """The drop of χ² to first order at the parameters x (m,)."""
+    return float(2 * score @ x - x @ gram @ x)
 
 
 def _least(gram: np.ndarray, score: np.ndarray, columns: Sequence[Column]) -> np.ndarray:

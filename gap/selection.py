@@ -33,9 +33,9 @@ HEARD = 3
 ASTRAY, LOST = 0.98, 8
 """A candidate that leaves more than this share of the base's loss has found nothing, or not its way; how many of those
 are begun once more."""
-JOINED, PAIRS, LEADING, EVERY = 0.06, 0.25, 5, 3
+JOINED, PAIRS, LEADING, EVERY, PROMISED = 0.06, 0.25, 5, 3, 5
 """Shares of the gap, left by one effect, from which a further one is looked for, and from which all pairs of so many
-leaders are; and beside how many of these every other effect."""
+leaders are; beside how many of these every other effect; and how many of the pairs that promise most are tried."""
 CLOSE, CLOSER, OFF = 3, 2.0, 0.6
 """How many single effects are taken to their end before they are judged, none that leaves so many times the least, nor
 where that is so large a share of the gap that no effect explains it."""
@@ -235,6 +235,8 @@ class Selection:
             if share < max(JOINED, 15 * unit):
                 break
             more = self._further(found.best, unit) if share < NOTABLE else []
+            if len(found.best.ids) == 1 and share < NOTABLE:
+                more += self._promised()
             if len(found.best.ids) == 1 and share > PAIRS:
                 more += self._pairs(list(left.values()), hopeless=share > OFF)
                 if share < NOTABLE and not any(judge.pairs_worth(share, self.left(r), unit) for r in more):
@@ -270,6 +272,14 @@ class Selection:
         if hopeless and self._from_given is not None:
             return self._on_few(both, singles, "pairs", finish=2)
         return self.study.refit(self.study.start, both, self._from_given, stage="pairs", finish=2)
+
+    def _promised(self) -> list[Refit]:
+        """The pairs that promise most together, whatever each does alone, from the given model."""
+        trials = [
+            Trial(ids, {f"effects.{i}.{n}": x for i in ids for n, x in values[i].items()})
+            for ids, values in self.screen.promised(PROMISED)
+        ]
+        return self.study.refit(self.study.start, trials, self._from_given, stage="promised pairs", finish=2)
 
     def _beside(self, singles: Sequence[Refit]) -> list[Refit]:
         """Every other effect beside each of the first `EVERY` in turn, until that explains the runs, from the given

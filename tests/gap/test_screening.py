@@ -233,6 +233,40 @@ def test_pairs_are_begun_on_few_runs_where_no_effect_comes_near():
     assert asked == ["pairs, few", "pairs"]
 
 
+def test_the_pair_that_promises_most_is_tried_though_another_effect_promises_more_than_either():
+    """In each run a robot does what two effects do; a third one resembles their sum, and each alone does little."""
+    rng = np.random.default_rng(2)
+    q = np.linalg.qr(rng.standard_normal((400, 4)))[0].T
+    traces = {
+        "contact": q[2],
+        "tip_payload": q[0] + 0.8 * q[2],
+        "actuator_gain": 0.5 * q[0] + 0.5 * q[1] + 0.2 * q[3],
+        "base_tilt": q[1] - 0.8 * q[2],
+    }
+    columns = [Column(i, 0, next(iter(REGISTRY[i].sizes())), -1e9, 1e9, 10.0) for i in traces]
+    j = np.stack(list(traces.values()), axis=1)
+    gram, score = j.T @ j, j.T @ (3 * traces["tip_payload"] + 2 * traces["base_tilt"])
+    forms: Any = {(c.id, 0): {"form": 7.0} for c in columns}
+    alone = {(c.id, 0): float(s**2 / g) for c, s, g in zip(columns, score, np.diag(gram), strict=True)}
+    assert max(alone, key=lambda k: alone[k])[0] == "actuator_gain"
+    seen = Screen(columns, forms, gram, score, np.ones(1), alone, alone, {}, {}, np.zeros((2, 1, 1)))
+    ((ids, values), second) = seen.promised(2)
+    assert set(ids) == {"tip_payload", "base_tilt"} != set(second[0])
+    sizes = {i: [x for n, x in values[i].items() if n != "form"] for i in ids}
+    assert sizes["tip_payload"][0] == pytest.approx(3, rel=0.02)
+    assert sizes["base_tilt"][0] == pytest.approx(2, rel=0.02)
+
+    asked: list[Trial] = []
+    selection: Any = object.__new__(Selection)
+    selection.screen = selection._from_given = seen
+    selection.study = SimpleNamespace(
+        start=None, refit=lambda like, trials, *_, **__: asked.extend(trials) or ["tried"]
+    )
+    assert selection._promised() == ["tried"]
+    assert set(asked[0].ids) == {"tip_payload", "base_tilt"} and asked[0].size == 4
+    assert asked[0].start["effects.base_tilt.form"] == 7.0
+
+
 def test_no_gap_is_unexplained_before_every_effect_has_been_tried():
     """Of all effects the one that explains the runs is that of which the derivative promises least."""
     kinds, cause = list(REGISTRY.values()), "tendon_slack"
@@ -391,6 +425,7 @@ def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_from_
     selection.unit_of = lambda refit: 1e-4
     selection._further = lambda best, unit: [refitted(Trial(("contact", "base_tilt")), 0.38)]
     selection._pairs = lambda singles, hopeless: []
+    selection._promised = lambda: []
     selection._prune = selection._exchange = lambda *_: None
     selection.base = selection.screen = None
     selection._on_few = few
