@@ -160,11 +160,11 @@ def _outside(e: Evidence, least: float, by: Weights) -> float:
 
 
 def _carried(fitted: float, elsewhere: Sequence[float]) -> float:
-    """Geometric mean of the share left where all is fitted and of that left elsewhere: where each condition is left
-    out, of first order only, and on runs that no fit has seen, so far as known (their geometric mean). None of these
+    """Geometric mean of the share left where all is fitted and of that left elsewhere: the mean of that where each
+    condition is left out, of first order only, and of that on runs that no fit has seen, so far as known. None of these
     counts for less than the former nor beyond the base's own."""
     other = [max(fitted, min(x, 1.0)) for x in elsewhere] or [fitted]
-    return float(np.exp(0.5 * np.log(fitted) + 0.5 * np.mean(np.log(other))))
+    return float(np.sqrt(fitted * np.mean(other)))
 
 
 def chance(null: np.ndarray, gain: float, unit: float) -> float:
