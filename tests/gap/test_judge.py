@@ -52,9 +52,17 @@ def test_what_is_free_but_not_used_is_not_held_against_an_effect():
 
 def test_what_carries_over_to_runs_that_no_fit_saw_is_likely_a_cause():
     """However ill a first-order step foretells each condition left out."""
-    astray = dataclasses.replace(evidence({"contact": 0.1, "base_tilt": 0.6}), unseen={"contact": 0.65})
+    astray = dataclasses.replace(evidence({"contact": 0.15, "base_tilt": 0.6}), unseen={"contact": 0.65})
     carried = dataclasses.replace(astray, held_out={"contact": 0.08})
     assert judge.probabilities(carried)["contact"] > judge.probabilities(astray)["contact"] + 0.1
+
+
+def test_an_effect_that_makes_left_out_conditions_worse_is_not_excused_by_unseen_runs():
+    alike = dataclasses.replace(
+        evidence({"contact": 0.15, "base_tilt": 0.6}), unseen={"contact": 0.15}, held_out={"contact": 0.15}
+    )
+    worse = dataclasses.replace(alike, unseen={"contact": 1.3})
+    assert judge.probabilities(worse)["contact"] < judge.probabilities(alike)["contact"] - 0.2
 
 
 def test_parameters_in_use_by_all_that_leave_little_do_not_speak_for_something_unknown():
