@@ -64,21 +64,19 @@ RATE_RAD_S, BEND_RAD = 0.3, 0.1
 
 
 class ViscousDamping(Effect):
-    """Damping independent of the vacuum: D q̇ (|q̇|/v₀)^(a − 1) (1 − b + b q²/q₀²), v₀ = 0.3 rad/s; a = 1 is linear; more
-    of it towards one end of the body by D₁, none where that would be less than none; a share b of what is squeezed
-    where it is bent, q₀ = 0.1 rad."""
+    """Damping independent of the vacuum: D (1 + g x) q̇ (|q̇|/v₀)^(a − 1) (1 − b + b q²/q₀²), v₀ = 0.3 rad/s, x from 1 at
+    the base to −1 at the tip; a = 1 is linear; a share b of what is squeezed where it is bent, q₀ = 0.1 rad."""
 
     id, block, axes = "viscous_damping", "structure", ("rate", "direction")
     damping: jax.Array = parameter("N·m·s/rad", 0.0, 0.0, 20.0, 0.05)
-    mode1: jax.Array = parameter("N·m·s/rad", 0.0, -5.0, 5.0, 0.02)
     power: jax.Array = shape("1", 1.0, 0.2, 3.0, (0.6, 1.0, 1.8))
     bent: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
     def torque(self, memory, i, q, v, stage):
-        none, n = 0.0 * self.mode1, len(stage.alpha2)
-        here = self.damping + along((self.mode1, none, none, none, none), n)[i]
+        here = self.damping * towards_base(self.to_base, len(stage.alpha2))[i]
         here = here * (1 - self.bent + self.bent * (q / BEND_RAD) ** 2)
-        return jnp.where(here < 0, none, here) * v * power(v, RATE_RAD_S, self.power - 1)
+        return here * v * power(v, RATE_RAD_S, self.power - 1)
 
 
 class StiffnessHardening(Effect):

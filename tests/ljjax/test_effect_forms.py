@@ -375,7 +375,7 @@ def test_layers_may_rub_most_when_lukewarm():
     np.testing.assert_allclose(more, [0.2 * np.exp(-0.5), 0.4 * np.exp(-1), 0.8 * np.exp(-2)], rtol=1e-3)
 
 
-def test_grease_may_be_squeezed_where_it_is_bent():
+def test_grease_may_be_squeezed_where_it_is_bent_and_be_more_towards_the_tip():
     kind: Any = REGISTRY["viscous_damping"]
     stage: Any = SimpleNamespace(alpha2=(1.0, 1.0, 1.0))
 
@@ -384,6 +384,9 @@ def test_grease_may_be_squeezed_where_it_is_bent():
 
     assert felt(0.0, 0.2) == pytest.approx(0.5 * 0.2)
     np.testing.assert_allclose([felt(0.75, q) for q in (0.0, 0.1, 0.2)], [0.025, 0.1, 0.325], rtol=1e-6)
+    rest, v = jnp.asarray(0.0), jnp.asarray(0.2)
+    along = [float(kind(damping=0.5, to_base=-0.6).torque((), i, rest, v, stage)) for i in range(3)]
+    np.testing.assert_allclose(along, [0.04, 0.1, 0.16], rtol=1e-6)  # more of it towards the tip
 
 
 def test_a_load_beside_the_axis_is_a_load(robot):
