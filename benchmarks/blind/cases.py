@@ -26,7 +26,7 @@ ATTEMPTS = 3
 PAIRS, CONTROLS, WITHOUT = 12, 10, 10
 SMALL_SET = ("effects", "controls", "parameters", "unlisted", "effects", "mujoco")
 HISTORY = ("layer_wear", "thermal_drift", "glue_failure")
-"""What runs leave to later ones, so that a run replayed by itself does not show it."""
+"""What runs leave to later ones in every shape (others do in some: `judge.of_session`)."""
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -78,7 +78,7 @@ def judge(label: Mapping[str, Any], answer: Mapping[str, Any] | None, errors: Se
     claimed = answer.get("gap") or {}
     row |= {"closed_claimed": claimed.get("closed_fraction"), "ci95": claimed.get("closed_fraction_ci95")}
     row |= {"closed": None, "closed_by_truth": 1.0 if causes else None, "before": None, "after": None}
-    if errors is not None and causes and not set(causes) & set(HISTORY):
+    if errors is not None and causes and not of_session(causes, row["forms"]):
         floor, (before, after) = label["theta_noise_rad"], errors
         row |= {"before": before, "after": after}
         if before > 1.1 * floor:
@@ -204,6 +204,12 @@ def _shape(row: Row) -> str:
         if form:
             return "last" if form == len(CAUSES[name].shapes) - 1 else "further"
     return "first"
+
+
+def of_session(causes: Collection[str], forms: Mapping[str, int]) -> bool:
+    """Whether what a run does hangs on the session's earlier ones, so that one replayed by itself does not show it."""
+    shapes = (CAUSES[x].shapes[form] for x, form in forms.items() if x in causes)
+    return bool(set(causes) & set(HISTORY)) or any("run" in shape.axes for shape in shapes)
 
 
 def _axes(right: set[str], forms: Mapping[str, int]) -> set[str]:

@@ -87,7 +87,7 @@ def judged(case: Case, folder: Path) -> judge.Row:
     label = cases.read_label(folder, case, failed if failed.exists() else answer / "gap.json")
     if failed.exists():
         return judge.judge(label, None, None) | {"code": by}
-    counts = case.kind in ("effects", "mujoco") and not set(case.causes) & set(cases.HISTORY)
+    counts = case.kind in ("effects", "mujoco") and not judge.of_session(case.causes, label["forms"])
     errors = replayed(case, folder) if counts else None
     return judge.judge(label, json.loads((answer / "gap.json").read_text(encoding="utf-8")), errors) | {"code": by}
 

@@ -52,6 +52,13 @@ def test_answers_are_judged_by_the_rules():
     assert lag["closed"] == pytest.approx(1 - 3 / 399)
     assert lag["covered"]
 
+    loaded = label("effects", "tip_payload")
+    for shape, told in ((0, True), (4, False)):  # one put on between runs is unknown to a run replayed by itself
+        row = judge.judge(
+            loaded | {"forms": {"tip_payload": shape}}, answer("tip_payload", "tip_payload"), [2e-2, 2e-3]
+        )
+        assert (row["closed"] is not None) == told
+
     delay = answer("sensor_delay", "sensor_delay")  # where tension is measured it could have been told
     assert not judge.judge(label("effects", "actuator_delay"), delay, None)["top_right"]
     assert judge.judge(label("effects", "actuator_delay", tension=False), delay, None)["top_right"]
