@@ -49,11 +49,11 @@ def fitted(rows: Sequence[Row]) -> Weights:
     """The weights under which the right answers are most probable; a single case pulls them little from `WEIGHTS`."""
 
     def weights(x: np.ndarray) -> Weights:
-        sharpness, leaves, ahead, simpler = np.exp(x[:4])
-        return Weights(sharpness, leaves, ahead, float(1 / (1 + np.exp(-x[4]))), simpler)
+        sharpness, outside, leaves, ahead, simpler = np.exp(x[:5])
+        return Weights(sharpness, outside, leaves, ahead, float(1 / (1 + np.exp(-x[5]))), simpler)
 
     w, u = WEIGHTS, WEIGHTS.unforeseen
-    start = np.log([w.sharpness, w.leaves, w.ahead, w.simpler, u / (1 - u)])
+    start = np.log([w.sharpness, w.outside, w.leaves, w.ahead, w.simpler, u / (1 - u)])
 
     def cost(x: np.ndarray) -> float:
         return float(-np.sum(np.log(np.maximum(likely(rows, weights(x)), 1e-12))) + 0.5 * np.sum((x - start) ** 2))
