@@ -195,6 +195,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.blind.study", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("out/blind"))
     parser.add_argument("--cases", default="all", help="how many (kinds take turns), `small` for a set of six, or all")
+    parser.add_argument("--case", default="", metavar="CASE,…", help="these cases only, to ask again")
     parser.add_argument("--only", default="", help=f"kinds, with commas: {', '.join(cases.KINDS)}; or small")
     parser.add_argument("--jobs", type=int, default=1, help="diagnoses side by side")
     parser.add_argument("--seed", type=int, default=0)
@@ -212,11 +213,13 @@ def main() -> None:
             parser.error(f"--cases {given.cases}: expected a whole number, small or all")
         chosen = cases.catalogue(given.seed, kinds, None if given.cases == "all" else int(given.cases))
     out = given.out / f"seed-{given.seed}"
-    if given.time:
-        ids = given.time.split(",")
+    if named := given.case or given.time:
+        ids = named.split(",")
         if unknown := set(ids) - {c.case_id for c in chosen}:
-            parser.error(f"--time {', '.join(sorted(unknown))}: not among this seed's, such as {chosen[0].case_id}")
-        for case in (c for c in chosen if c.case_id in ids):
+            parser.error(f"{', '.join(sorted(unknown))}: not among this seed's, such as {chosen[0].case_id}")
+        chosen = [c for c in chosen if c.case_id in ids]
+    if given.time:
+        for case in chosen:
             cases.make(case, out)
             took = timed(case, out)
             ratio = f"{took['ratio']:.1f} times as long"
@@ -227,6 +230,7 @@ def main() -> None:
     save(found, given.out)
     if given.page:
         said = ["python -m benchmarks.blind.study", f"--seed {given.seed}", f"--cases {given.cases}"]
+        said += [f"--case {given.case}"] if given.case else []
         said += [f"--only {given.only}"] if given.only else []
         said += ["--no-timing"] if given.no_timing else []
         page.keep(found, " ".join([*said, "--page"]))
