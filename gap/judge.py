@@ -43,8 +43,8 @@ class Weights:
 
 WEIGHTS = Weights(5.0, 0.3, 0.25, 0.6, 0.05, 1.5)
 """Chosen by hand, two by fresh robots. What stays with the unforeseen by how often answers were wrong that had nothing
-else in doubt: 6 of 116. The odds of what is outside the library by those in doubt about it, which at odds of 0.5 said 0.54
-on average: it was the truth of 4 in 22."""
+else in doubt: 6 of 116. The odds of what is outside the library by those in doubt about it: at odds of 0.5 they said
+0.54 on average, and it was the truth of 4 in 22."""
 MIMICKED = 0.5
 NONE = 8.0
 """Odds before looking that no effect is there: a gain that chance makes once in a hundred leaves them even."""
