@@ -274,12 +274,16 @@ class Selection:
         return self.study.refit(self.study.start, both, self._from_given, stage="pairs", finish=2)
 
     def _promised(self) -> list[Refit]:
-        """The pairs that promise most together, whatever each does alone, from the given model."""
+        """The pairs that promise most together, whatever each does alone: begun at the base, where the promise was
+        made, by whole steps and by cautious ones, and at the given model, as two may have bent the base away."""
+        study, screen = self.study, self.screen
         trials = [
             Trial(ids, {f"effects.{i}.{n}": x for i in ids for n, x in values[i].items()})
-            for ids, values in self.screen.promised(PROMISED)
+            for ids, values in screen.promised(PROMISED)
         ]
-        return self.study.refit(self.study.start, trials, self._from_given, stage="promised pairs", finish=2)
+        there = [*trials, *(cautious(t, study.kinds) for t in trials)]
+        found = study.refit(self.base.model, there, screen, stage="promised pairs", finish=2)
+        return found + study.refit(study.start, trials, self._from_given, stage="promised pairs", finish=2)
 
     def _beside(self, singles: Sequence[Refit]) -> list[Refit]:
         """Every other effect beside each of the first `EVERY` in turn, until that explains the runs, from the given

@@ -256,15 +256,22 @@ def test_the_pair_that_promises_most_is_tried_though_another_effect_promises_mor
     assert sizes["tip_payload"][0] == pytest.approx(3, rel=0.02)
     assert sizes["base_tilt"][0] == pytest.approx(2, rel=0.02)
 
-    asked: list[Trial] = []
+    asked: dict[str, list[Trial]] = {}
     selection: Any = object.__new__(Selection)
     selection.screen = selection._from_given = seen
+    selection.base = SimpleNamespace(model="the base")
     selection.study = SimpleNamespace(
-        start=None, refit=lambda like, trials, *_, **__: asked.extend(trials) or ["tried"]
+        start="as given",
+        kinds=list(REGISTRY.values()),
+        refit=lambda like, trials, *_, **__: [*asked.setdefault(like, trials)],
     )
-    assert selection._promised() == ["tried"]
-    assert set(asked[0].ids) == {"tip_payload", "base_tilt"} and asked[0].size == 4
-    assert asked[0].start["effects.base_tilt.form"] == 7.0
+    tried = selection._promised()
+    whole, less = asked["as given"][0], asked["the base"][len(asked["as given"])]
+    assert whole is asked["the base"][0] and tried.count(whole) == 2 and less in tried
+    assert set(whole.ids) == set(less.ids) == {"tip_payload", "base_tilt"} and whole.size == 4
+    assert whole.start["effects.base_tilt.form"] == less.start["effects.base_tilt.form"] == 7.0
+    first = next(p for p in whole.start if not p.endswith(".form"))
+    assert less.start[first] == pytest.approx(0.3 * whole.start[first])
 
 
 def test_no_gap_is_unexplained_before_every_effect_has_been_tried():
