@@ -230,7 +230,8 @@ class Selection:
             Variation(self.study, self.base, self.screen, self.left).let(left)
         found = Found(left, {}, min(left.values(), key=self.left))
         unit = self.unit_of(found.best)
-        while len(found.best.ids) < MOST:
+        matters = self.excess > judge.MATTERS * self.floor  # else none is named, whatever several would explain
+        while matters and len(found.best.ids) < MOST:
             share = self.left(found.best)
             if share < max(JOINED, 15 * unit):
                 break
