@@ -10,7 +10,7 @@ import numpy as np
 
 from ljjax.effect import Effect
 from ljjax.gap import judge, screening
-from ljjax.gap.candidates import Trial, cautious, either_side
+from ljjax.gap.candidates import CAUTIOUS, Trial, cautious, either_side
 from ljjax.gap.channels import Measured
 from ljjax.gap.screening import Screen, ahead
 from ljjax.gap.search import Refit, Study
@@ -262,10 +262,18 @@ class Selection:
         steps = self._begun(on_top, ahead(on_top, SECOND), best)
         trials = [*steps, *self._heard(best)]
         more = self.study.refit(best.model, trials, on_top, steps, stage="several effects", finish=2, sure=1)
+        found = {id(r.trial) for r in more if r.total < best.total}
+        less = {self._carefully(t, best): CAUTIOUS * x for t, x in steps.items() if id(t) not in found}
+        more += self.study.refit(best.model, [*less], on_top, less, stage="several effects, with care", finish=2)
         if any(judge.pairs_worth(self.left(best), self.left(r), unit) for r in more):
             return more
-        promised = [r for r in more if r.trial is trials[0]]
-        return more + self._anew(list(dict.fromkeys([*promised, *sorted(more, key=self.left)]))[:ANEW])
+        ordered = sorted(more, key=self.left)
+        promised = [r for r in ordered if r.ids == trials[0].ids][:1]
+        return more + self._anew(list(dict.fromkeys([*promised, *ordered]))[:ANEW])
+
+    def _carefully(self, trial: Trial, onto: Refit) -> Trial:
+        """A trial on top of a refit whose step has led it astray, begun nearer to that."""
+        return Trial(trial.ids, {**cautious(trial, self.study.kinds).start, **onto.free_effects})
 
     def _pairs(self, singles: Sequence[Refit], hopeless: bool) -> list[Refit]:
         """All pairs of the leaders, from the given model; where no single effect comes near, on few runs first."""
