@@ -15,7 +15,6 @@ from ljjax.gap.candidates import Trial, either_side, pilots, sizes
 from ljjax.gap.channels import Channel, Fitted, Measured, look
 from ljjax.gap.screening import Column, Screen, clock, waves
 from ljjax.gap.search import FIRST, Study, _best, units
-from ljjax.gap.selection import Selection
 from ljjax.gap.variation import Variation
 from tests.fit.test_dynamic import robot
 
@@ -220,112 +219,6 @@ def test_of_many_trials_those_that_fall_behind_go_no_further():
     assert [r.trial for r in found] == then[1]
 
 
-def test_pairs_are_begun_on_few_runs_where_no_effect_comes_near():
-    selection: Any = object.__new__(Selection)
-    asked: list[str] = []
-    selection.study = SimpleNamespace(kinds=list(REGISTRY.values()), start=None)
-    selection.study.refit = lambda *_, stage, finish: asked.append(stage) or ["whole"]
-    selection._on_few = lambda trials, found, stage, finish: asked.append(f"{stage}, few") or ["few"]
-    selection._from_given = SimpleNamespace()
-    singles: Any = [SimpleNamespace(ids=(i,), free_effects={}) for i in ("contact", "base_tilt")]
-    assert selection._pairs(singles, hopeless=True) == ["few"]
-    assert selection._pairs(singles, hopeless=False) == ["whole"]
-    assert asked == ["pairs, few", "pairs"]
-
-
-def test_the_pair_that_promises_most_is_tried_though_another_effect_promises_more_than_either():
-    """In each run a robot does what two effects do; a third one resembles their sum, and each alone does little."""
-    rng = np.random.default_rng(2)
-    q = np.linalg.qr(rng.standard_normal((400, 4)))[0].T
-    traces = {
-        "contact": q[2],
-        "tip_payload": q[0] + 0.8 * q[2],
-        "actuator_gain": 0.5 * q[0] + 0.5 * q[1] + 0.2 * q[3],
-        "base_tilt": q[1] - 0.8 * q[2],
-    }
-    columns = [Column(i, 0, next(iter(REGISTRY[i].sizes())), -1e9, 1e9, 10.0) for i in traces]
-    j = np.stack(list(traces.values()), axis=1)
-    gram, score = j.T @ j, j.T @ (3 * traces["tip_payload"] + 2 * traces["base_tilt"])
-    forms: Any = {(c.id, 0): {"form": 7.0} for c in columns}
-    alone = {(c.id, 0): float(s**2 / g) for c, s, g in zip(columns, score, np.diag(gram), strict=True)}
-    assert max(alone, key=lambda k: alone[k])[0] == "actuator_gain"
-    seen = Screen(columns, forms, gram, score, np.ones(1), alone, alone, {}, {}, np.zeros((2, 1, 1)))
-    ((ids, values), second) = seen.promised(2)
-    assert set(ids) == {"tip_payload", "base_tilt"} != set(second[0])
-    sizes = {i: [x for n, x in values[i].items() if n != "form"] for i in ids}
-    assert sizes["tip_payload"][0] == pytest.approx(3, rel=0.02)
-    assert sizes["base_tilt"][0] == pytest.approx(2, rel=0.02)
-
-    asked: dict[str, list[Trial]] = {}
-    selection: Any = object.__new__(Selection)
-    selection.screen = selection._from_given = seen
-    selection.base = SimpleNamespace(model="the base")
-    selection.study = SimpleNamespace(
-        start="as given",
-        kinds=list(REGISTRY.values()),
-        refit=lambda like, trials, *_, **__: [*asked.setdefault(like, trials)],
-    )
-    tried = selection._promised()
-    whole, less = asked["as given"][0], asked["the base"][len(asked["as given"])]
-    assert whole is asked["the base"][0] and tried.count(whole) == 2 and less in tried
-    assert set(whole.ids) == set(less.ids) == {"tip_payload", "base_tilt"} and whole.size == 4
-    assert whole.start["effects.base_tilt.form"] == less.start["effects.base_tilt.form"] == 7.0
-    first = next(p for p in whole.start if not p.endswith(".form"))
-    assert less.start[first] == pytest.approx(0.3 * whole.start[first])
-
-
-def test_no_gap_is_unexplained_before_every_effect_has_been_tried():
-    """Of all effects the one that explains the runs is that of which the derivative promises least."""
-    kinds, cause = list(REGISTRY.values()), "tendon_slack"
-    keys = {(k.id, 0): float(k.id != cause) * (2 + i) for i, k in enumerate(kinds)}
-    columns = [Column(k.id, 0, next(iter(k.sizes())), -1.0, 1.0, 1.0) for k in kinds]
-    steps = {(c.id, 0): {c.name: 0.1} for c in columns}
-    none: Any = np.zeros((2, 0))
-    forms: dict[tuple[str, int], dict[str, float]] = {k: {} for k in keys}
-    still = {k: np.zeros(0) for k in keys}
-    seen = Screen(columns, forms, none, none, none, keys, keys, steps, still, none)
-
-    def refitted(trial: Trial, explains: str) -> Any:
-        total = 101.0 if trial.ids == (explains,) else 900.0
-        loss, start = np.array([total / 2, total / 2]), dict(trial.start)
-        return SimpleNamespace(trial=trial, ids=trial.ids, total=total, loss=loss, free_effects=start)
-
-    def tried(explains: str) -> tuple[list[str], set[str]]:
-        """The effects refitted to all runs, the last last, and all of them begun."""
-        begun: set[str] = set()
-
-        class Told(Study):
-            def screen(self, from_, forms_of=None):
-                return seen
-
-            def refit(self, like, trials, screen, steps=None, stage="", finish=1, sure=0, within=np.inf):
-                begun.update(t.ids[0] for t in trials)
-                return [refitted(t, explains) for t in trials]
-
-            def weeded(self, like, trials, screen, stage):
-                return self.refit(like, trials, screen)
-
-            def taken_over(self, refits, stage, finish, further):
-                return list(refits)
-
-        any_: Any = None
-        selection: Any = object.__new__(Selection)
-        selection.study = Told(any_, (), kinds, (any_, any_), 0.0, {})
-        estimate = SimpleNamespace(windows=SimpleNamespace(sample_run=np.arange(2)))
-        selection.screen = seen
-        selection.base = SimpleNamespace(model=None, total=1000.0, loss=np.array([400.0, 600.0]), estimate=estimate)
-        selection.given, selection.measured = selection.base, Measured([])
-        selection.floor, selection.excess = 100.0, 900.0
-        selection._promising = lambda: True
-        return [r.ids[0] for r in selection._leaders()], begun
-
-    refits, begun = tried(cause)
-    assert begun == set(REGISTRY)
-    assert refits[-1] == cause  # it alone was worth refitting to all runs
-    first = max(keys, key=lambda k: keys[k])[0]
-    assert cause not in tried(first)[1]  # what explains the runs at once leaves the rest untried
-
-
 @pytest.mark.parametrize(
     ("alone", "varied", "vary"),
     [
@@ -407,42 +300,6 @@ def test_what_does_nothing_as_it_stands_may_vary_too():
     assert own == {**dict.fromkeys(WAYS, 0.0), "by_bend": 8.0, "power": 1.8, "damping": 0.1}
     assert variation.left(single["viscous_damping"]) == 0.05 and variation.left(single["contact"]) == 0.94
     assert [k.id for k in study.kinds if "by_bend" in k.fields()] == ["viscous_damping"]
-
-
-@pytest.mark.parametrize("leaves, kept", [(0.05, True), (0.2, False)])
-def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_from_the_given_model(
-    leaves, kept, monkeypatch
-):
-    monkeypatch.setattr(Variation, "let", lambda self, single: None)
-    kinds = list(REGISTRY.values())
-    begun: list[Trial] = []
-
-    def refitted(trial: Trial, left: float) -> Any:
-        return SimpleNamespace(trial=trial, ids=trial.ids, total=100 + 900 * left, fitted=(), free_effects=trial.start)
-
-    first = refitted(Trial(("contact",), {"effects.contact.stop": 7.0}), 0.4)
-
-    def few(trials, found, stage, finish) -> list[Any]:
-        begun.extend(trials)
-        return [refitted(next(t for t in trials if t.ids[1] == "sensor_bias"), leaves)]
-
-    selection: Any = object.__new__(Selection)
-    selection.floor, selection.excess, selection.measured = 100.0, 900.0, Measured([])
-    selection.left = lambda refit: (refit.total - 100) / 900
-    selection.unit_of = lambda refit: 1e-4
-    selection._further = lambda best, unit: [refitted(Trial(("contact", "base_tilt")), 0.38)]
-    selection._pairs = lambda singles, hopeless: []
-    selection._promised = lambda: []
-    selection._prune = selection._exchange = lambda *_: None
-    selection.base = selection.screen = None
-    selection._on_few = few
-    steps = {(k.id, 0): Trial((k.id,), {f"effects.{k.id}.{next(iter(k.sizes()))}": 0.1}) for k in kinds}
-    selection.study = SimpleNamespace(kinds=kinds, start=None, trial=lambda screen, key: (steps[key], None))
-    selection._from_given = SimpleNamespace(ids=[k.id for k in kinds], best=lambda i: (i, 0))
-    found = selection._forward([first])
-    assert {t.ids for t in begun} == {("contact", k.id) for k in kinds if k.id != "contact"}
-    assert all(t.start["effects.contact.stop"] == 7.0 and t.size == 2 for t in begun)
-    assert found.best.ids == (("contact", "sensor_bias") if kept else ("contact",))
 
 
 def test_a_further_effect_begins_as_it_stands_though_it_varied_where_the_first_was_found():
