@@ -26,7 +26,8 @@ from ljjax.gap.screening import clock, rates, waves_in
 
 STEP_S, ITERATIONS, STEP = 0.005, 20, 1e-4
 SPEAKS = 1.3
-"""A channel speaks if its RMS distance from the command is so many times its noise, and an effect explains some."""
+"""A channel speaks if its RMS distance from the command is so many times its noise, whether a command that changes at
+a stamp counts there already or not yet, and an effect explains some."""
 EXPLAINS = 0.3
 MATTERS, UNTOLD, BESIDE = 0.5, 3.0, 0.02
 """A channel is heard if an effect that agrees with it leaves less than this share of the shape's gap; what does not
@@ -58,7 +59,8 @@ class Channel:
     Attributes:
         name: `tension` [N] or `pressure` [kPa].
         rms, noise: of measured − commanded, and of its white part.
-        left: by effect, the share of the mean square beyond noise that it leaves; `values` its parameters then.
+        left: by effect, the share of the mean square beyond noise that it leaves; `values` its parameters then. None
+            where the channel is as its command.
         error: (m, N) predicted − measured through an effect of parameters (m, p), or none; `inside` (N,) where it
             counts.
     """
@@ -78,7 +80,7 @@ class Channel:
     @property
     def speaks(self) -> bool:
         """Whether it differs from its command in a way that an effect explains."""
-        return bool(self.left) and self.rms > SPEAKS * self.noise and self.left[self.best] < 1 - EXPLAINS
+        return bool(self.left) and self.left[self.best] < 1 - EXPLAINS
 
     def rms_with(self, fitted: Sequence[Fitted]) -> float | None:
         """RMS of measured − predicted with the one of these effects that acts here and suits best; None for none. Its
@@ -230,13 +232,14 @@ def _acts(kind: type[Effect], hook: str) -> bool:
 
 
 def _channel(name: str, signal: str, motions: Sequence[Motion], kinds: Sequence[type[Effect]]) -> Channel:
-    inputs = _Inputs(motions, signal)
-    noise, base = inputs.noise, inputs.error(None, np.zeros((1, 0)))[0]
+    inputs, none = _Inputs(motions, signal), np.zeros((1, 0))
+    noise, base = inputs.noise, inputs.error(None, none)[0]
     limit = 6 * 1.4826 * np.median(np.abs(base - np.median(base))) + 20 * noise
     inside = np.abs(base) < max(limit, np.quantile(np.abs(base), 0.99))
-    rms = float(np.sqrt(np.mean(base[inside] ** 2)))
+    rms = _rms(base[inside])
     channel = Channel(name, rms, noise, {}, {}, inputs.error, inside)
-    if rms > SPEAKS * noise:
+    stamped = (inputs.error(None, none, late)[0, inside] for late in (-0.5 * STEP_S, 0.0, 0.5 * STEP_S))
+    if min(map(_rms, stamped)) > SPEAKS * noise:
         top = max(float(m.tendons.max()) for m in motions)
         scale = {"tension": top, "angle": 1.0, "slip": 1.0, "": 1.0, **inputs.clock(base)}
         waves = inputs.waves(base)
@@ -306,9 +309,9 @@ class _Inputs:
         pieces = zip(self.t, self.edges, bends, runs, strict=True)
         return waves_in([(np.interp(t, e[:-1], bend), own) for t, e, bend, own in pieces])
 
-    def error(self, kind: type[Effect] | None, x: np.ndarray) -> np.ndarray:
+    def error(self, kind: type[Effect] | None, x: np.ndarray, late_s: float = 0.0) -> np.ndarray:
         """(m, N) predicted − measured through an effect of the parameters x (m, p), or none; at the stamps by linear
-        interpolation between the middles of steps."""
+        interpolation between the middles of steps, or so much later."""
         commanded, vacuum, q = self.drive
         if kind is None:
             series = (commanded if self.tension else vacuum[..., None])[None]
@@ -319,7 +322,7 @@ class _Inputs:
         out = []
         for row in series:
             at = [
-                np.interp(t, e[:-1] + 0.5 * STEP_S, c)
+                np.interp(t - late_s, e[:-1] + 0.5 * STEP_S, c)
                 for t, e, own in zip(self.t, self.edges, row, strict=True)
                 for c in own.T
             ]

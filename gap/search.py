@@ -97,9 +97,10 @@ class Refit:
         free; all ways in which it varies count for one. One at least."""
         out = {}
         for e in self.effects:
-            nulls = {n: float(about["null"]) for n, about in e.fields().items()}
-            off = {n for n, (x, sd) in self.values(e.id).items() if abs(x - nulls[n]) > TOLD * sd}
-            out[e.id] = max(len(off - WAYS.keys()) + bool(off & WAYS.keys()), 1)
+            names, covariance = self._spread(e.id)
+            off = np.array([float(getattr(e, n)) - float(e.fields()[n]["null"]) for n in names])
+            told = {names[i] for i in needed(off, covariance)}
+            out[e.id] = max(len(told - WAYS.keys()) + bool(told & WAYS.keys()), 1)
         return out
 
     def _spread(self, effect: str) -> tuple[list[str], np.ndarray]:
@@ -125,6 +126,23 @@ def units(left: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     left = np.maximum(left, noise)
     unit = noise * np.sqrt(np.mean((left / noise) ** 2))
     return unit, HUBER * np.maximum(left, unit)
+
+
+def needed(off: np.ndarray, covariance: np.ndarray) -> list[int]:
+    """Which of parameters so far (p,) from their nulls, of a covariance (p, p), are told from them: those that remain
+    where one after the other that costs least is put to its null, the others following it, until each would cost
+    `TOLD` standard deviations."""
+    rest, off, covariance = list(range(len(off))), off.copy(), covariance.copy()
+    while rest:
+        variance = np.maximum(np.diag(covariance), 1e-300)
+        i = int(np.argmin(off**2 / variance))
+        if abs(off[i]) > TOLD * np.sqrt(variance[i]):
+            break
+        along = covariance[:, i] / variance[i]
+        off, covariance = off - along * off[i], covariance - np.outer(along, covariance[i])
+        rest.pop(i)
+        off, covariance = np.delete(off, i), np.delete(np.delete(covariance, i, 0), i, 1)
+    return rest
 
 
 @dataclass(eq=False)

@@ -14,7 +14,7 @@ from ljjax.effects.varying import WAYS, varies, varying
 from ljjax.gap.candidates import Trial, either_side, pilots, sizes
 from ljjax.gap.channels import Channel, Fitted, Measured, look
 from ljjax.gap.screening import Column, Screen, clock, waves
-from ljjax.gap.search import FIRST, Study, _best, units
+from ljjax.gap.search import FIRST, Study, _best, needed, units
 from ljjax.gap.variation import Variation
 from tests.fit.test_dynamic import robot
 
@@ -120,6 +120,37 @@ def test_measured_tensions_tell_of_commands_read_at_a_beat():
     assert tension.left["actuator_delay"] < 0.5 * tension.left["actuator_lag"]
     assert tension.values["actuator_delay"]["reset_s"] == pytest.approx(beat, rel=0.01)
     assert tension.values["actuator_delay"]["delay_seconds"] == pytest.approx(beat / 2, rel=0.1)
+
+
+@pytest.mark.parametrize("late_s, speaks", [(0.0, False), (0.01, True)])
+def test_a_tension_stamped_as_its_command_changes_may_be_the_one_before(late_s, speaks):
+    """Commands are held; the sensor's stamps are those of every second one, its values of just before."""
+    t = np.arange(0.0, 12.0, 0.005)
+    command = np.stack([5 + 4 * np.sin(9.0 * t), 5 + 4 * np.sin(9.0 * t + 1)], axis=1)
+    stamps = t[4::2]
+    value = command[3 : len(t) - 1 : 2] if late_s == 0.0 else command[1 : len(t) - 3 : 2]
+    value = value + 0.02 * np.random.default_rng(1).standard_normal(value.shape)
+    run = SimpleNamespace(signals={"tendons": SimpleNamespace(t=stamps, value=value)})
+    given = {"t": t, "y": np.zeros((len(t), 1)), "input_t": t, "tendons": command, "vacuum": 0.0 * t, "hold": True}
+    motion: Any = SimpleNamespace(run=run, source="commands", q0=np.zeros(2), **given)
+    (tension,) = look([motion], [REGISTRY["actuator_lag"]]).channels
+    assert tension.rms > 2 * tension.noise
+    assert tension.speaks == speaks
+
+
+@pytest.mark.parametrize(
+    "off, along, told",
+    [
+        ([3.0, 3.0], 0.0, [0, 1]),
+        ([3.0, 1.0], 0.0, [0]),
+        ([1.0, 1.2], -0.99, [1]),  # their sum is known, not which of them it is
+        ([1.0, -1.2], -0.99, []),
+        ([1.5, 1.6], 0.99, []),  # without the one the other is nothing that counts
+    ],
+)
+def test_parameters_that_stand_for_one_another_count_once(off, along, told):
+    covariance = np.array([[1.0, along], [along, 1.0]])
+    assert needed(np.array(off), covariance) == told
 
 
 def test_a_channel_is_heard_where_what_it_shows_matters_to_the_shape():
