@@ -310,8 +310,9 @@ class Selection:
         return out
 
     def _exchange(self, found: Found) -> None:
-        """Each of several effects exchanged for those that promise most in its place: what was found first need not be
-        what fits best beside the others, nor the simplest that does."""
+        """Each of several effects exchanged for those that promise most in its place, itself among them, as its form is
+        told better beside the others: what was found first need not be what fits best beside the others,
+        nor the simplest that does."""
         study, ids, unit = self.study, found.best.ids, self.unit_of(found.best)
         for out in ids:
             rest = tuple(sorted(i for i in ids if i != out))
@@ -320,9 +321,9 @@ class Selection:
                 continue
             on_top = study.screen(like)
             steps = self._begun(on_top, ahead(on_top, SECOND), like)
-            new = [t for t in steps if tuple(sorted(t.ids)) not in found.joint]
-            for r in study.refit(like.model, new, on_top, steps, "exchanges", finish=2):
-                found.joint[tuple(sorted(r.ids))] = r
+            for r in study.refit(like.model, list(steps), on_top, steps, "exchanges", finish=2):
+                key = tuple(sorted(r.ids))
+                found.joint[key] = min(found.joint.get(key, r), r, key=lambda x: x.total)
         rivals = [r for key, r in found.joint.items() if len(key) == len(ids)]
         if self._least(rivals) > WELL:
             rivals += self._anew(sorted(rivals, key=self.left)[:ANEW])

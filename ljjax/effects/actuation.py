@@ -25,13 +25,15 @@ from ljjax.effects.shapes import (
 class ActuatorDelay(Effect):
     """The tensions follow their commands after a transport delay: T(t) = T_cmd(t − d). Where commands are read at a
     beat and held, or buffers fill and are emptied, it grows in between: T_cmd(t − d) − d r s Ṫ_cmd, s the sawtooth from
-    −½ to ½ over the time T, at 0 at −φ T; r = 2 for a command held."""
+    −½ to ½ over the time T, at 0 at −φ T; r = 2 for a command held. Each tendon has a drive of its own: d (1 ± δ), to
+    first order in δ."""
 
     id, block, axes = "actuator_delay", "actuation", ("rate", "load", "time")
     delay_seconds: jax.Array = parameter("s", 0.0, 0.0, 0.4, 0.03)
     drift: jax.Array = shape("1", 0.0, -2.0, 2.0, (0.0, 1.0), "drift")
     reset_s: jax.Array = shape("s", 5.0, 0.05, 1e3, (1.0,), "reset_s")
     phase: jax.Array = shape("1", 0.0, -10.0, 10.0, (1.0,), "phase")
+    difference: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
     def start(self, now):
         return now.u
@@ -40,8 +42,10 @@ class ActuatorDelay(Effect):
         return self.delay_seconds
 
     def actuate(self, memory, u, now):
-        late = self.delay_seconds * self.drift * sawtooth((now.t + 0.5 * now.h) / self.reset_s + self.phase)
-        return tuple(x - late * (x - before) / now.h for x, before in zip(u, memory, strict=True)), u
+        later = self.drift * sawtooth((now.t + 0.5 * now.h) / self.reset_s + self.phase)
+        shares = later + self.difference, later - self.difference
+        late = [self.delay_seconds * share / now.h for share in shares]
+        return tuple(x - part * (x - before) for x, before, part in zip(u, memory, late, strict=True)), u
 
 
 class ActuatorDeadband(Effect):

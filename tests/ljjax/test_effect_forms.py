@@ -535,6 +535,21 @@ def test_a_command_may_be_read_at_a_beat_and_held():
     np.testing.assert_allclose(np.array(out)[inside], held[inside], atol=0.03 * rate * beat)
 
 
+def test_each_tendon_may_be_commanded_by_a_drive_of_its_own():
+    """One is late by more, the other by less, than the delay that the inputs hold already."""
+    kind: Any = REGISTRY["actuator_delay"]
+    h, delay = 0.005, 0.012
+    late, memory, off = kind(delay_seconds=delay, difference=0.4), (jnp.zeros(()),) * 2, []
+    for begin in h * np.arange(300):
+        middle = begin + 0.5 * h
+        now: Any = SimpleNamespace(t=jnp.asarray(begin), h=jnp.asarray(h))
+        out, memory = late.actuate(memory, (jnp.asarray(np.sin(6 * (middle - delay))),) * 2, now)
+        off.append(
+            [float(x) - np.sin(6 * (middle - d)) for x, d in zip(out, delay * np.array([1.4, 0.6]), strict=True)]
+        )
+    assert np.abs(off[2:]).max() < 0.05 * 6 * 0.4 * delay
+
+
 @pytest.mark.parametrize("order", [0.0, 0.5, 1.0, 2.0])
 def test_layers_may_slide_little_by_little(order):
     """Dahl's model, against its differential equation in small steps, there and back."""
