@@ -13,7 +13,7 @@ from ljjax.gap.candidates import CAUTIOUS, Trial
 from ljjax.gap.channels import Measured
 from ljjax.gap.screening import Column, Screen
 from ljjax.gap.search import Study
-from ljjax.gap.selection import Selection
+from ljjax.gap.selection import Found, Selection
 from ljjax.gap.variation import Variation
 
 
@@ -191,3 +191,35 @@ def test_a_further_effect_whose_first_step_leads_astray_is_begun_again_with_care
     assert again.start == {"effects.contact.stop": 7.0, "effects.base_tilt.tilt_rad": pytest.approx(0.1 * CAUTIOUS)}
     assert less[again] == pytest.approx(0.02 * CAUTIOUS)
     assert min(more, key=selection.left).trial is again
+
+
+@pytest.mark.parametrize("anew, best", [(0.05, "actuator_delay"), (0.3, "actuator_lag")])
+def test_an_effect_tried_beside_another_before_is_begun_anew_where_that_one_is_known(anew, best):
+    """A tilt leaves less with a lag than with a delay as that was begun at first."""
+
+    def refitted(ids: tuple[str, ...], left: float) -> Any:
+        used = dict.fromkeys(ids, 1)
+        return SimpleNamespace(ids=ids, total=100 + 900 * left, model=ids, used=used, trial=Trial(ids))
+
+    tilt, lag, delay = "base_tilt", "actuator_lag", "actuator_delay"
+    pair = refitted((lag, tilt), 0.12)
+    found = Found({i: refitted((i,), 0.5) for i in (tilt, lag)}, {}, pair)
+    found.joint = {(lag, tilt): pair, (delay, tilt): refitted((delay, tilt), 0.2)}
+    asked: list[tuple[str, ...]] = []
+
+    def refit(like, trials, screen, steps, stage, finish):
+        asked.append(like)
+        return [refitted(t.ids, anew) for t in trials if t.ids == (delay, tilt)]
+
+    selection: Any = object.__new__(Selection)
+    selection.floor, selection.excess = 100.0, 900.0
+    selection.left = lambda refit: (refit.total - 100) / 900
+    selection.unit_of = lambda refit: 1e-5
+    selection._begun = lambda screen, keys, onto: {Trial((delay, *onto.ids)): np.zeros(0)}
+    selection._anew = lambda refits: []
+    seen = SimpleNamespace(ids=[], gains={}, firm={})
+    selection.study = SimpleNamespace(refit=refit, screen=lambda _: seen)
+    selection._exchange(found)
+    assert {(tilt,), (lag,)} == set(asked)
+    assert found.best.ids == (best, tilt)
+    assert found.joint[(delay, tilt)].total == pytest.approx(100 + 900 * min(anew, 0.2))
