@@ -154,7 +154,8 @@ class Effect(eqx.Module):
     def torque(self, memory: Memory, i: int, q: Array, v: Array, stage: Any) -> Array | None:
         """Torque that resists joint i [N·m], solved for with the joint's rate: a function of that joint alone.
 
-        `stage.time` is the time since the step began [s]; `stage.alpha2[i]`, `stage.phi[i]` are this step's.
+        `stage.time` is the time since the step began [s]; `stage.alpha2[i]`, `stage.phi[i]` are this step's,
+        `stage.bare` is α₂ without a vacuum.
         """
         return None
 

@@ -199,6 +199,7 @@ class _Stage(NamedTuple):
     time: Array
     alpha1: Array
     alpha2: Vector
+    bare: Array
     phi: Vector
     friction: Friction
     effects: tuple[Effect, ...]
@@ -425,7 +426,8 @@ def advance(model: Model, c: Constants, state: Unrolled, drive: Drive, h: Any, h
     def solve(base: tuple[Vector, Vector, Vector], start: Vector, time: Array) -> tuple[Vector, Vector, Vector]:
         q, v, z = base
         stage = _Stage(
-            q, v, z, m, load, s, time, model.gravity.alpha1, alpha2, phi, model.friction, model.effects, memory, slip
+            *(q, v, z, m, load, s, time, model.gravity.alpha1, alpha2, model.elastic.c3, phi, model.friction),
+            *(model.effects, memory, slip),
         )
         new, deflected = _solve(how, start, stage)
         return apart((tuple(q[i] + s * new[i] for i in range(n)), new, deflected))

@@ -64,18 +64,21 @@ RATE_RAD_S, BEND_RAD = 0.3, 0.1
 
 
 class ViscousDamping(Effect):
-    """Damping independent of the vacuum: D (1 + g x) q̇ (|q̇|/v₀)^(a − 1) (1 − b + b q²/q₀²), v₀ = 0.3 rad/s, x from 1 at
-    the base to −1 at the tip; a = 1 is linear; a share b of what is squeezed where it is bent, q₀ = 0.1 rad."""
+    """Damping beside the layers': D (1 + g x) q̇ (|q̇|/v₀)^(a − 1) (1 − b + b q²/q₀²), v₀ = 0.3 rad/s, x from 1 at the
+    base to −1 at the tip; a = 1 is linear; a share b of what is squeezed where it is bent, q₀ = 0.1 rad. Times 1 − s
+    + s α₂/α₂(0): s = 0 where the vacuum is of no account, 1 where it damps as it is stiff (Rayleigh)."""
 
     id, block, axes = "viscous_damping", "structure", ("rate", "direction")
     damping: jax.Array = parameter("N·m·s/rad", 0.0, 0.0, 20.0, 0.05)
     power: jax.Array = shape("1", 1.0, 0.2, 3.0, (0.6, 1.0, 1.8))
     bent: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
+    of_layers: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
 
     def torque(self, memory, i, q, v, stage):
         here = self.damping * towards_base(self.to_base, len(stage.alpha2))[i]
         here = here * (1 - self.bent + self.bent * (q / BEND_RAD) ** 2)
+        here = here * (1 + self.of_layers * (stage.alpha2[i] / stage.bare - 1))
         return here * v * power(v, RATE_RAD_S, self.power - 1)
 
 

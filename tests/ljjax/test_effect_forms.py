@@ -375,9 +375,9 @@ def test_layers_may_rub_most_when_lukewarm():
     np.testing.assert_allclose(more, [0.2 * np.exp(-0.5), 0.4 * np.exp(-1), 0.8 * np.exp(-2)], rtol=1e-3)
 
 
-def test_grease_may_be_squeezed_where_it_is_bent_and_be_more_towards_the_tip():
+def test_damping_may_be_of_grease_that_is_squeezed_more_towards_the_tip_or_go_with_the_stiffness():
     kind: Any = REGISTRY["viscous_damping"]
-    stage: Any = SimpleNamespace(alpha2=(1.0, 1.0, 1.0))
+    stage: Any = SimpleNamespace(alpha2=(3.0, 3.0, 3.0), bare=2.0)
 
     def felt(bent: float, q: float) -> float:
         return float(kind(damping=0.5, bent=bent).torque((), 0, jnp.asarray(q), jnp.asarray(0.2), stage))
@@ -387,6 +387,8 @@ def test_grease_may_be_squeezed_where_it_is_bent_and_be_more_towards_the_tip():
     rest, v = jnp.asarray(0.0), jnp.asarray(0.2)
     along = [float(kind(damping=0.5, to_base=-0.6).torque((), i, rest, v, stage)) for i in range(3)]
     np.testing.assert_allclose(along, [0.04, 0.1, 0.16], rtol=1e-6)  # more of it towards the tip
+    stiff = [float(kind(damping=0.5, of_layers=s).torque((), 0, rest, v, stage)) for s in (0.0, 0.5, 1.0)]
+    np.testing.assert_allclose(stiff, [0.1, 0.125, 0.15], rtol=1e-6)  # α₂ is half as much again as without a vacuum
 
 
 def test_a_load_beside_the_axis_is_a_load(robot):
