@@ -40,8 +40,10 @@ data: .venv/.ready ## make the bundled MCAP logs anew from the published tables
 recovery: .venv/.ready ## identify 40 simulated robots and compare with the truth; writes out/recovery/
 	$(BIN)/python -m benchmarks.recovery.study
 
-blind: .venv/.ready ## diagnose robots whose effect is sealed, and score the answers; writes out/blind/
-	$(BIN)/python -m benchmarks.blind.study --cases 40
+CASES ?= 20
+JOBS ?= 2
+blind: .venv/.ready ## diagnose robots whose effect is sealed, and score the answers (an hour on two cores); writes out/blind/
+	$(BIN)/python -m benchmarks.blind.study --cases $(CASES) --jobs $(JOBS)
 
 control-study: .venv/.ready ## the control room's claims and the paper's experiments, measured; writes out/control/
 	$(BIN)/python -m benchmarks.control.study

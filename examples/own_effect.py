@@ -3,7 +3,7 @@
     ljjax gap runs/ --model model.toml --effects examples/own_effect.py --out out/gap
 
 puts it on trial beside the library's, without a change to the package. Where it is chosen, `model.toml` names this
-file, and simulate, fit and gap load it from there.
+file, and simulate and fit load it from there.
 """
 
 from __future__ import annotations

@@ -103,6 +103,16 @@ def collect(runs: Sequence[Run]) -> tuple[Points, Points, list[str]]:
     return _join("steady", steady), _join("probe", probe), said
 
 
+def set_aside(said: Sequence[str]) -> list[str]:
+    """Why logs were left out, of all that was said of them."""
+    return [line.removeprefix("left out: ") for line in said if line.startswith("left out: ")]
+
+
+def beware_of(runs: Sequence[Run], said: Sequence[str]) -> list[str]:
+    """A line for each log that was left out, or is there in part."""
+    return [*set_aside(said), *(f"{r.path}: partial: {r.damage.why} at {r.damage.where}" for r in runs if r.damage)]
+
+
 def _join(kind: str, parts: Iterable[Points]) -> Points:
     parts = list(parts)
     if not parts:

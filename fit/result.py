@@ -16,7 +16,7 @@ from scipy import stats
 
 from ljjax import modelfile
 from ljjax.fit.paper import PUBLISHED_FOR
-from ljjax.fit.points import UNIT
+from ljjax.fit.points import UNIT, beware_of
 from ljjax.fit.static import Stage, StaticFit
 from ljjax.logs import Run, Signal, copy_overlay
 from ljjax.model import Model, get, units
@@ -140,8 +140,7 @@ class FitResult(ABC):
         return self._about_logs()
 
     def _about_logs(self) -> list[str]:
-        out = [line.removeprefix("left out: ") for line in self.said if line.startswith("left out: ")]
-        out += [f"{r.path}: partial: {r.damage.why} at {r.damage.where}" for r in self.runs if r.damage]
+        out = beware_of(self.runs, self.said)
         if self.start_from == NOMINAL and any(r.robot_id != PUBLISHED_FOR for r in self.runs):
             out.append(
                 "no model given: geometry, mass, friction and all that was not fitted are OctRobot-I's, not this "

@@ -14,13 +14,13 @@ from ljjax.fit.coordinates import Coordinates
 from ljjax.fit.dynamic import estimate, predict
 from ljjax.fit.kernel import one_blas_thread
 from ljjax.fit.moving import DynamicResult
-from ljjax.fit.points import Points, collect, points_of
+from ljjax.fit.points import Points, collect, points_of, set_aside
 from ljjax.fit.problem import ROUNDS, Estimate, Problem, Round
 from ljjax.fit.result import NOMINAL, FitResult, StaticResult
 from ljjax.fit.shooting import Asking, together
 from ljjax.fit.static import Constraints, Weights, fit_static
 from ljjax.fit.stochastic import descend
-from ljjax.fit.windows import Motion, Source, motion
+from ljjax.fit.windows import Motion, Source, check_columns, motion
 from ljjax.logs import Run
 from ljjax.model import UNITS, check, get, replace, units
 from ljjax.modelfile import ModelFile
@@ -60,7 +60,7 @@ def fit(
         model: geometry, starting values, what is frozen, bounds and priors; None for OctRobot-I's geometry with
             assumed friction.
         runs: logs of one robot, as `ljjax.logs.read_all` gives them.
-        held_out: more runs of the robot, not fitted, only predicted.
+        held_out: runs of the robot that are not fitted, even if they are among `runs`, only predicted.
         frozen: parameters not to move, by path, beside those the model file freezes. Geometry moves only if the
             model file frees it, the lever arm also where probe points fix the scale of torques.
         inputs: drive moving runs by their commands or by their measured tension and pressure.
@@ -136,8 +136,9 @@ def fit_many(
         own = model.get(robot) if isinstance(model, Mapping) else model
         start, said_from = (modelfile.load(OCTROBOT / "nominal.toml"), NOMINAL) if own is None else (own, model_from)
         held = tuple(dict.fromkeys((*start.frozen, *frozen)))
+        runs, unseen = parted(runs, (held_out or {}).get(robot, ()))
         try:
-            case = prepared(start, said_from, runs, (held_out or {}).get(robot, ()), held, inputs)
+            case = prepared(start, said_from, runs, unseen, held, inputs)
             if isinstance(case, _Case):
                 cases[robot] = case
             else:
@@ -198,6 +199,17 @@ class _Case:
         self.tests: list[Motion] = tests
 
 
+def resting(run: Run) -> bool:
+    """Whether a log is of steady points or presses of the probe, not of motion."""
+    return run.experiment.lower().startswith("steady") or "probe" in run.signals
+
+
+def parted(runs: Sequence[Run], held_out: Sequence[Run]) -> tuple[list[Run], list[Run]]:
+    """Logs to fit and logs that no fit sees, each of these once: one that is among both is not fitted."""
+    unseen = {r.sha256 or id(r): r for r in held_out}
+    return [r for r in runs if (r.sha256 or id(r)) not in unseen], list(unseen.values())
+
+
 def prepared(
     start: ModelFile, start_from: str, runs, held_out, frozen: tuple[str, ...], inputs: Source
 ) -> _Case | list[str]:
@@ -213,9 +225,8 @@ def prepared(
             continue
         seen[run.sha256] = run.path
         check_joints(run, start.model.n)  # not left out: the model is another robot's
-        static = run.experiment.lower().startswith("steady") or "probe" in run.signals
         try:
-            if static:
+            if resting(run):
                 found, how = points_of(run)
                 for p in found:
                     p.run[:] = index
@@ -259,6 +270,7 @@ def prepared(
             tests.append(motion(run, start.model.n, inputs))
         except InputError as error:
             said.append(f"left out: {error}")
+    check_columns([*motions, *tests])
     problem = Problem(Coordinates(start.model, free, top), motions, points, start.priors, start.bounds)
     return _Case(start, start_from, list(runs), said, tuple(sorted(held & set(known))), problem, moving, tests)
 
@@ -277,7 +289,7 @@ def calm(runs: Sequence[Run], moving: Sequence[str]) -> tuple[Points, Points, li
     try:
         return collect(runs)
     except InputError as error:
-        still = [line.removeprefix("left out: ") for line in moving if "no excitation" in line]
+        still = [line for line in set_aside(moving) if "no excitation" in line]
         raise InputError("; ".join(still)) if len(still) == len(runs) else error from None
 
 

@@ -115,9 +115,12 @@ def motion(run: Run, n: int, source: Source = "commands") -> Motion:
     inputs = from_run(run, source)
     known = np.all(np.isfinite(shape.value), axis=1)
     t, y = shape.t[known], shape.value[known]
+    last = np.append(np.diff(t) > 0, True)  # of samples of one stamp
+    t, y = t[last], y[last]
     if len(t) < 20 or t[-1] - t[0] < 0.5:
         raise InputError(f"{run.path}: {shape.topic}: {len(t)} samples; a dynamic fit needs 20 over half a second")
-    noise = white_noise(y)
+    noise = np.maximum(white_noise(y), _rounding(y))
+    noise = np.where(noise > 0, noise, noise.max())  # of a joint that never moves
     tendons, vacuum = np.asarray(inputs.tendons), np.asarray(inputs.pressure_kpa)
     if np.all(np.std(y, axis=0) < 3 * noise + 1e-9) and np.all(np.ptp(tendons, axis=0) < 1e-9):
         raise InputError(f"{run.path}: no excitation: neither the tensions nor the shape move")
@@ -168,6 +171,25 @@ def white_noise(y: np.ndarray) -> np.ndarray:
         near = third <= KEPT * sd
         sd = np.sqrt(np.sum(np.where(near, third, 0.0) ** 2, axis=0) / np.maximum(near.sum(axis=0), 1)) / WITHIN
     return sd / np.sqrt(20)
+
+
+def _rounding(y: np.ndarray) -> np.ndarray:
+    """(c,) standard deviation of what rounding takes from each column, by the least step between its values [rad]: of
+    values so coarse that most third differences are nil these say nothing of the noise."""
+    steps = [np.diff(np.unique(column)) for column in y.T]
+    least = [np.min(s[s > 1e-9], initial=np.inf) for s in steps]
+    return np.where(np.isfinite(least), least, 0.0) / np.sqrt(12)
+
+
+def check_columns(motions: Sequence[Motion]) -> None:
+    """Refuse runs of which some log θ, some every joint. Raises InputError with two files' names."""
+    for m in motions[1:]:
+        if m.y.shape[1] != motions[0].y.shape[1]:
+            one, all_ = sorted((motions[0], m), key=lambda m: m.y.shape[1])
+            raise InputError(
+                f"{all_.run.path} logs {all_.y.shape[1]} joint angles, {one.run.path} their mean alone: give runs of "
+                "one kind at a time"
+            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,11 @@ import numpy as np
 
 from ljjax import effects
 from ljjax.effects.varying import by_run
+from ljjax.fit.points import beware_of
 from ljjax.fit.problem import Estimate
 from ljjax.fit.result import NOMINAL
 from ljjax.gap import judge, screening, where
-from ljjax.gap.data import role_of
+from ljjax.gap.data import by_start, role_of
 from ljjax.gap.experiment import next_experiment
 from ljjax.gap.inquiry import LEFT_OVER, Inquiry, began, onset, unfixed
 from ljjax.gap.result import Diagnosis, Finding, Fold, Gap, Region
@@ -39,8 +40,8 @@ def answer(inquiry: Inquiry) -> Diagnosis:
         verdict=inquiry.verdict,
         gap=gap,
         folds=_folds(inquiry, chosen),
-        where=_where(inquiry, chosen),
-        effects=_findings(inquiry),
+        where=[_numbered(inquiry, r) if r.axis == "run" else r for r in _where(inquiry, chosen)],
+        effects=_findings(inquiry, chosen),
         selected=list(chosen.ids),
         equivalent=inquiry.equivalent,
         minimum_detectable=_detectable(inquiry),
@@ -51,7 +52,10 @@ def answer(inquiry: Inquiry) -> Diagnosis:
         roles=[role_of(r, setting.train, setting.test) for r in setting.runs],
         said=setting.said,
         evidence=inquiry.evidence,
-        warnings=[*setting.warnings, *inquiry.measured.notes, *_warnings(inquiry), *worse(gap, chosen.ids)],
+        warnings=[
+            *beware_of(setting.runs, setting.said),
+            *(*inquiry.measured.notes, *_warnings(inquiry), *worse(gap, chosen.ids)),
+        ],
         seed=setting.seed,
         options=setting.options,
         story=Story(inquiry, chosen, seen),
@@ -87,7 +91,8 @@ def _gap(inquiry: Inquiry, chosen: Refit, seen: Sequence[Estimate]) -> Gap:
     before, end, given = (
         float(np.sqrt(np.mean(e.error[told[e.windows.sample_run]] ** 2))) for e in (seen[0], after, seen[-1])
     )
-    floor = float(np.sqrt(np.mean([np.mean(m.seen_noise**2) for m in counted])))
+    by = [len(m.t) for m in counted]
+    floor = float(np.sqrt(np.average([np.mean(m.seen_noise**2) for m in counted], weights=by)))
     fraction = judge.closed(before, end, floor)
     ci = None
     if fraction is not None and chosen is base:
@@ -114,7 +119,7 @@ def _folds(inquiry: Inquiry, chosen: Refit) -> list[Fold]:
     return out
 
 
-def _findings(inquiry: Inquiry) -> list[Finding]:
+def _findings(inquiry: Inquiry, chosen: Refit) -> list[Finding]:
     out, found, evidence = [], inquiry.found, inquiry.evidence
     kinds = {k.id: k for k in inquiry.setting.study.kinds}
     for i, probability in inquiry.probability.items():
@@ -123,7 +128,7 @@ def _findings(inquiry: Inquiry) -> list[Finding]:
             continue
         gain = inquiry.gained.get(i, inquiry.screen.gains[inquiry.screen.best(i)])
         p = judge.chance(inquiry.null, gain, inquiry.one)
-        source = found.best if i in found.best.ids else found.single.get(i)
+        source = next((r for r in (chosen, found.best) if i in r.ids), found.single.get(i))
         parameters = {}
         if source is not None:
             unit = {n: about["unit"] for n, about in kinds[i].fields().items()}
@@ -161,6 +166,14 @@ def _where(inquiry: Inquiry, chosen: Refit) -> list[Region]:
     return []
 
 
+def _numbered(inquiry: Inquiry, region: Region) -> Region:
+    """A range of fitted runs, by which of all runs they are, from 1."""
+    train = inquiry.setting.train
+    order = [id(m) for m in by_start([*train, *inquiry.setting.test])]
+    low, high = (1.0 + order.index(id(train[round(x)])) for x in region.range)
+    return replace(region, range=(low, high))
+
+
 def _in_joints(inquiry: Inquiry, refit: Refit) -> np.ndarray | None:
     """By how much a refit has every joint elsewhere than the base model (M, n), where their mean alone is measured;
     None where that cannot be simulated."""
@@ -190,8 +203,9 @@ def _detectable(inquiry: Inquiry) -> dict[str, dict[str, object]]:
     kinds, out = {k.id: k for k in inquiry.setting.study.kinds}, {}
     for i in inquiry.screen.ids:
         name, value = inquiry.screen.detectable(inquiry.screen.best(i), np.sqrt(inquiry.one))
-        if np.isfinite(value):
-            out[i] = {"parameter": name, "value": value, "unit": kinds[i].fields()[name]["unit"]}
+        about = kinds[i].fields()[name]
+        if np.isfinite(value) and about["null"] + value <= about["high"]:
+            out[i] = {"parameter": name, "value": value, "unit": about["unit"]}
     return out
 
 

@@ -10,27 +10,34 @@ import numpy as np
 from ljjax.errors import InputError
 from ljjax.fit.windows import Motion
 from ljjax.live import SELF_HEATING_K, SELF_HEATING_S
-from ljjax.logs import Run
+from ljjax.logs import Run, started_ns
+
+FITTED = 2
+"""The least number of runs that are fitted, as what is fitted to one must hold for another."""
+
+
+def by_start(motions: Sequence[Motion]) -> list[Motion]:
+    """The runs in the order in which they were made."""
+    return sorted(motions, key=lambda m: (started_ns(m.run), m.run.t0_ns, m.run.path))
 
 
 def in_order(motions: Sequence[Motion]) -> list[Motion]:
     """The runs by their start, each with the temperature's rise and the slip since the first one began."""
-    ordered = sorted(motions, key=lambda m: m.run.t0_ns)
+    ordered = by_start(motions)
     if not ordered:
         return []
-    first = ordered[0].run
-    cold = None
+    first, cold = started_ns(ordered[0].run), None
     slipped, heated, ended, out = 0.0, 0.0, 0.0, []
     for m in ordered:
         way = travel(m.y, m.noise)
-        session = (m.run.t0_ns - first.t0_ns) * 1e-9 + m.t
+        session = (started_ns(m.run) - first) * 1e-9 + m.t
         if "temperature" in m.run.signals:
             s = m.run.signals["temperature"]
             value = np.interp(m.t, s.t, s.value[:, 0])
             cold = float(value[0]) if cold is None else cold
             warm = value - cold
         else:
-            heated *= np.exp(-(session[0] - ended) / SELF_HEATING_S)
+            heated *= np.exp(-max(session[0] - ended, 0.0) / SELF_HEATING_S)
             warm = SELF_HEATING_K - (SELF_HEATING_K - heated) * np.exp(-(m.t - m.t[0]) / SELF_HEATING_S)
             heated, ended = float(warm[-1]), float(session[-1])
         out.append(replace(m, warm=warm, worn=slipped + way))
@@ -55,10 +62,10 @@ def unseen(motions: Sequence[Motion]) -> list[int]:
     """Runs to keep out of every fit: a quarter of them, whose tensions and pressures the others cover, spread over the
     session."""
     count = len(motions)
-    if count < 2:
+    if count < FITTED + 1:
         raise InputError(
-            f"{count} moving run: a diagnosis needs two or more, one of them to check on; record another, of other "
-            "tensions or another pressure"
+            f"cannot tell from {count} moving run{'s' * (count != 1)}: a diagnosis needs three or more, two to fit, "
+            "each foretold by the other, one to check on; record others, of other tensions or another pressure"
         )
     wanted = max(1, round(count / 4))
     chosen: list[int] = []

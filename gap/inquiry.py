@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -29,6 +29,9 @@ HALF = 0.5
 LEFT_OVER, SOME = 0.1, 0.01
 """The share of the gap that is worth telling of where the effects found leave it, and from which stand-ins of few terms
 are asked."""
+UNTRIED, BEHIND = 0.35, 1.5
+"""The share that an effect not refitted to all runs is taken to leave at least, and how many times what the best one
+leaves: where that is much, all others were begun on a few runs and fell behind there."""
 SHOWN = 2.0
 """How many times the noise's variance the base leaves at least of unseen runs that can tell what carries over."""
 ELSEWHERE = 0.05
@@ -57,7 +60,6 @@ class Setting:
     test: Sequence[Motion]
     said: list[str]
     study: Study
-    warnings: list[str] = field(default_factory=list)
 
 
 def onset(effect: Effect) -> tuple[float, float] | None:
@@ -204,7 +206,7 @@ class Inquiry:
         study, motions = self.setting.study, self.setting.test
         seen = study.predict([self.base, *refits], motions)
         before, *after = (np.nan_to_num(study.loss(e), nan=np.inf) for e in seen)
-        floor, out = np.array([study.floor(len(m.t)) for m in motions]), []
+        floor, out = study.floor(motions), []
         for refit, left in zip(refits, after, strict=True):
             told = ~unfixed(refit.effects, self.setting.train, motions)
             least, all_, some = (float(x[told].sum()) for x in (floor, before, left))
@@ -236,7 +238,7 @@ class Inquiry:
 
     @cached_property
     def _fold_floor(self) -> np.ndarray:
-        return self.setting.study.floor(1) * np.bincount(self._sample_fold)
+        return np.bincount(self.folds[1], self.setting.study.floor(self.setting.train))
 
     @cached_property
     def unit(self) -> float:
@@ -246,16 +248,17 @@ class Inquiry:
     def _evidence(self) -> judge.Evidence:
         screen, found, measured = self.screen, self.found, self.measured
         left = {i: self.left(r) for i, r in found.single.items()}
-        for i in screen.ids:
-            if i not in left:  # not refitted: what the Jacobian promises, at best
-                promised = 1 - screen.gains[screen.best(i)] / self.selection.gap
-                left[i] = max(measured.joined(promised, ()), 0.35)
-        size = {i: found.single[i].trial.size if i in found.single else 1 for i in left}
         several = [found.best, *(r for *_, r in found.exchanged)] if len(found.best.ids) > 1 else []
         asked = [*found.single.values(), *several]
         leave = [dict(zip(asked, self.leave_unseen(asked), strict=True))]
         leave.append(dict(zip(asked, self.leave_held_out(asked), strict=True)))
         unseen, held_out = ({i: by[r] for i, r in found.single.items()} for by in leave)
+        best = min(left.values(), default=0.0)
+        for i in screen.ids:
+            if i not in left:  # what the Jacobian promises, at best; where much is left it fell behind on few runs
+                promised = 1 - screen.gains[screen.best(i)] / self.selection.gap
+                left[i] = max(measured.joined(promised, ()), UNTRIED, min(BEHIND * best, 1.0))
+        size = {i: found.single[i].trial.size if i in found.single else 1 for i in left}
         used = {i: r.used[i] for i, r in found.single.items()}
         if len(found.best.ids) > 1:
             used |= found.best.used

@@ -10,6 +10,7 @@ import numpy as np
 
 from ljjax import page
 from ljjax.gap import figures
+from ljjax.gap.data import by_start
 from ljjax.gap.result import LAST, Diagnosis, Region
 from ljjax.gap.static_figures import plain
 from ljjax.gap.story import Course, Story, assumed, cards, degrees, headline, percent
@@ -118,10 +119,10 @@ def _span(story: Story, r: Region) -> str:
     if r.axis == "direction":
         return "back to straight" if high <= 0 else ("away from straight" if low >= 0 else "both ways")
     if r.axis == "run":
-        ids = [m.run.run_id for m in story.base.estimate.problem.motions]
-        low, high = (min(max(round(x), 0), len(ids) - 1) for x in (low, high))
-        return f"{ids[low]} … {ids[high]}"
-    return f"{number(low)} … {number(high)}"
+        runs = by_start([*story.setting.train, *story.setting.test])
+        first, last = (runs[round(x) - 1].run.run_id for x in (low, high))
+        return first if first == last else f"{first} … {last}"
+    return number(low) if low == high else f"{number(low)} … {number(high)}"
 
 
 # --- causes

@@ -60,7 +60,9 @@ class Fold:
 
 @dataclass(frozen=True)
 class Region:
-    """A place where the gap lies: block of the model, channel, axis and range along it, share of the squared gap."""
+    """A place where the gap lies: block of the model, channel, axis and range along it (segments count from the base,
+    runs by their start, both from 1; direction −1 is back to straight, 0 at rest), share of what the selected effects
+    change or, where there are none, of the squared residuals."""
 
     block: str
     channel: str

@@ -11,11 +11,12 @@ from ljjax import effects, modelfile
 from ljjax.data import OCTROBOT
 from ljjax.errors import InputError
 from ljjax.fit.kernel import one_blas_thread
+from ljjax.fit.points import set_aside
 from ljjax.fit.result import NOMINAL
-from ljjax.fit.run import calm, prepared
-from ljjax.fit.windows import Motion, Source, motion, with_tips
+from ljjax.fit.run import calm, parted, prepared, resting
+from ljjax.fit.windows import Motion, Source, check_columns, motion, with_tips
 from ljjax.gap.answer import answer
-from ljjax.gap.data import in_order, span, unseen
+from ljjax.gap.data import FITTED, in_order, span, unseen
 from ljjax.gap.inquiry import Inquiry, Setting
 from ljjax.gap.result import Diagnosis
 from ljjax.gap.search import Study
@@ -43,7 +44,7 @@ def diagnose(
     Args:
         model: the robot's model; its base parameters are refitted. None for OctRobot-I's.
         runs: logs of one robot. Without any that moves, its steady points and probe presses are diagnosed.
-        held_out: runs on which the gap is measured; a quarter of `runs` by default.
+        held_out: runs on which the gap is measured, even if they are among `runs`; a quarter of these by default.
         without: effects that are not on trial, by id.
         inputs: drive the model by commands, or by measured tension and pressure.
         seed: of what is drawn at random.
@@ -68,8 +69,12 @@ def diagnose(
             f"{start_from}: has effects already; a diagnosis starts from a base model, so remove [[effects]]"
         )
     options = {"without": list(without), "inputs": inputs, "model": start_from}
-    case = prepared(start, start_from, runs, (), start.frozen, inputs)
+    runs, held_out = parted(runs, held_out)
+    moving = [r for r in runs if not resting(r)]
+    case = prepared(start, start_from, moving, (), start.frozen, inputs)
     if isinstance(case, list):
+        if held_out:
+            raise InputError("--held-out: no run to fit moves; of steady points every pressure is left out in turn")
         from ljjax.gap.static import diagnose_static
 
         steady, probe, said = calm(runs, case)
@@ -78,9 +83,10 @@ def diagnose(
                 start, start_from, steady, probe, runs, said, without=without, seed=seed, options=options
             )
         except InputError as error:
-            still = [line.removeprefix("left out: ") for line in case if "no excitation" in line]
+            still = [line for line in set_aside(case) if "no excitation" in line]
             raise InputError(f"{still[0]}; and as steady points: {error}" if still else str(error)) from None
-    said = list(case.said)
+    beside = "steady points and presses beside moving runs; diagnose them by themselves"
+    said = [*case.said, *(f"left out: {r.path}: {beside}" for r in runs if resting(r))]
     train, test = _parted(case.problem.motions, held_out, start.model.n, inputs, said)
     both = with_tips([*train, *test])
     train, test = both[: len(train)], both[len(train) :]
@@ -112,9 +118,15 @@ def _parted(
             said.append(f"left out: {error}")
     if not tests:
         raise InputError("--held-out: none of these runs moves; give runs of moving tensions")
+    check_columns([*motions, *tests])
     parts: tuple[list[Motion], list[Motion]] = ([], [])
     for m in in_order([*motions, *tests]):
         parts[any(m.run is t.run for t in tests)].append(m)
+    if len(parts[0]) < FITTED:
+        raise InputError(
+            f"cannot tell from {len(parts[0])} moving run beside those of --held-out: a diagnosis fits two or more, "
+            "each foretold by the others; give more logs"
+        )
     return parts
 
 

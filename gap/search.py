@@ -175,7 +175,8 @@ class Study:
 
     @property
     def noise(self) -> np.ndarray:
-        return np.sqrt(np.mean([m.seen_noise**2 for m in self.motions], axis=0))
+        by = [len(m.t) for m in self.motions]
+        return np.sqrt(np.average([m.seen_noise**2 for m in self.motions], axis=0, weights=by))
 
     def base(self) -> Refit:
         """The base refitted from the given model, as `ljjax fit` does but for its last round."""
@@ -294,10 +295,10 @@ class Study:
         x, most = np.abs(error / self.unit), self.gross / self.unit
         return np.where(x <= most, x**2, 2 * most * x - most**2).sum(axis=1)
 
-    def floor(self, count: int) -> float:
-        """What `loss` would be for the measurements' white noise alone, over so many samples."""
+    def floor(self, motions: Sequence[Motion]) -> np.ndarray:
+        """(R,) what `loss` would be for the white noise of each run's measurements alone."""
         assert self.unit is not None
-        return float(count * np.sum((self.noise / self.unit) ** 2))
+        return np.array([len(m.t) * np.sum((m.seen_noise / self.unit) ** 2) for m in motions])
 
     def screen(self, from_: Refit, forms_of: Callable[[type[Effect]], list[dict[str, float]]] | None = None) -> Screen:
         """Every effect that is not in a refit, on top of it, in all `pilots` of its form or in those asked for."""

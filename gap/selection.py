@@ -87,7 +87,7 @@ class Selection:
         self.screen, self.measured, self.seed = screen, measured, seed
         self._joined: dict[Refit, float] = {}
         self._from_given: Screen | None = None
-        self.floor = study.floor(sum(len(m.t) for m in study.motions))
+        self.floor = float(study.floor(study.motions).sum())
         self.excess = base.total - self.floor
         self.found = self._forward(self._leaders())
         self._finish()

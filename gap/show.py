@@ -29,7 +29,9 @@ def show(found: Diagnosis, out: Path, console: Console | None = None) -> None:
     words = WORDS[found.verdict]
     if found.verdict == "listed_effect":
         words = " and ".join(found.selected)
-    console.print(f"Cause: [bold]{words}[/]", highlight=False, soft_wrap=True)
+    named = {found.verdict, *found.selected, *(i for group in found.equivalent for i in group)}
+    sure = sum(f.probability for f in found.effects if f.id in named)
+    console.print(f"Cause: [bold]{words}[/] (probability {sure:.2f})", highlight=False, soft_wrap=True)
     gap = found.gap
     factor, unit = (float(np.degrees(1.0)), "°") if gap.unit == "rad" else (1.0, f" {gap.unit}")
     numbers = [f"{number(factor * x)}{unit}" for x in (gap.before, gap.after, gap.noise_floor)]
@@ -37,8 +39,9 @@ def show(found: Diagnosis, out: Path, console: Console | None = None) -> None:
     if gap.closed_fraction is not None and gap.closed_fraction_ci95 is not None and found.selected:
         low, high = gap.closed_fraction_ci95
         closed += f" (95 %: {100 * low:z.0f} to {100 * high:z.0f} %)"
+    where = "on runs not fitted" if found.evidence is not None else "at pressures left out"
     console.print(
-        f"Error on runs not fitted: {numbers[0]} → {numbers[1]}, noise {numbers[2]}{closed}",
+        f"Error {where}: {numbers[0]} → {numbers[1]}, noise {numbers[2]}{closed}",
         highlight=False,
         soft_wrap=True,
     )

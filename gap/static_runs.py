@@ -30,10 +30,6 @@ class Apart:
     @property
     def words(self) -> str:
         """The disagreement in a sentence."""
-        if not len(self.pressure):
-            return (
-                f"{self.name} is not fitted: it has no pressure and angle in common with the fitted log to compare at"
-            )
         worst, least = int(np.argmax(self.high)), int(np.argmin(self.low))
         at = ", ".join(
             f"{a:.2f}" + (f"–{b:.2f}" if b - a > 0.005 else "") + f" at {p:.3g} kPa"
@@ -46,21 +42,21 @@ class Apart:
 
 
 def sort(points: Points, runs: Sequence[Run]) -> tuple[Points, list[Apart]]:
-    """The points to fit, of the log that has most of them and those that agree with it, and the logs that do not."""
+    """The points to fit, of the log that has most of them and those that agree with it or have no pressure and angle in
+    common with it to compare at, and the logs that do not agree."""
     if not len(points):
         return points, []
     ids, counts = np.unique(points.run, return_counts=True)
     order = ids[np.argsort(-counts, kind="stable")]
     kept, apart = points.run == order[0], []
     for run in order[1:]:
-        first, other = points.take(points.run == order[0]), points.take(points.run == run)
+        first, other = points.take(kept), points.take(points.run == run)
         expected = between(first, other)
         known = np.isfinite(expected)
         difference = (other.value - expected)[known]
         one, two = (p.scatter or roughness(p) for p in (first, other))
         scatter = float(np.hypot(one, two))
-        agrees = len(difference) and np.sqrt(np.mean(difference**2)) <= DISAGREE * max(scatter, 1e-9)
-        if agrees:
+        if not len(difference) or np.sqrt(np.mean(difference**2)) <= DISAGREE * max(scatter, 1e-9):
             kept |= points.run == run
             continue
         ratio = np.where(known & (np.abs(expected) > 0), other.value / np.where(known, expected, 1.0), np.nan)

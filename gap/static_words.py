@@ -9,6 +9,7 @@ import numpy as np
 from scipy import stats
 
 from ljjax.errors import InputError
+from ljjax.fit.points import beware_of
 from ljjax.gap.static_stage import Channel
 from ljjax.logs import Run
 from ljjax.model import Model, check
@@ -90,7 +91,7 @@ def unexplained(found: Any) -> list[str]:
 
 def beware(found: Any, main: Channel, runs: Sequence[Run], said: Sequence[str], model: Model) -> list[str]:
     """One line for each thing that a reader must know, from the search and the logs."""
-    out = [line.removeprefix("left out: ") for line in said if line.startswith("left out: ")]
+    out = beware_of(runs, said)
     for c in found.channels:
         if c is main:
             continue

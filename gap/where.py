@@ -9,6 +9,7 @@ import numpy as np
 
 from ljjax.fit.problem import Estimate
 from ljjax.gap.result import Region
+from ljjax.logs import started_ns
 
 UNITS = {
     "pressure": "kPa",
@@ -22,7 +23,9 @@ UNITS = {
     "everywhere": "1",
 }
 BINS = 30
-"""An axis is cut into so many bins of equally many samples."""
+"""An axis is cut into so many bins of equally many samples; each of no more values than that is a bin of its own."""
+SMOOTH_S = 0.09
+"""Angles are smoothed over such a time, nine samples at least, before their rate is taken."""
 HOLDS = (0.9, 0.75, 0.6)
 """A range is the shortest that holds so much of the gap: on the axis where an effect shows most plainly, on others."""
 
@@ -33,25 +36,31 @@ def coordinates(found: Estimate) -> dict[str, np.ndarray]:
     motions = found.problem.motions
     theta = windows.shape(windows.y).mean(axis=1)
     out = {name: np.zeros(len(theta)) for name in UNITS if name not in ("segment", "everywhere")}
-    first = min(m.run.t0_ns for m in motions)
+    first = min(started_ns(m.run) for m in motions)
     for i, m in enumerate(motions):
         mine = np.flatnonzero(windows.sample_run == i)
         t = windows.sample_t[mine]
         index = np.clip(np.searchsorted(m.input_t, t, side="right") - 1, 0, len(m.input_t) - 1)
-        smooth = _smooth(theta[mine])
+        width = max(4, round(0.5 * SMOOTH_S / np.median(np.diff(t)))) * 2 + 1
+        smooth = np.convolve(np.pad(theta[mine], width // 2, mode="edge"), np.ones(width) / width, mode="valid")
         rate = np.gradient(smooth, t)
         out["pressure"][mine] = m.vacuum[index]
         out["angle"][mine] = smooth
         out["rate"][mine] = np.abs(rate)
         out["direction"][mine] = np.where(np.abs(rate) < 0.005, 0.0, np.sign(rate * smooth))
         out["load"][mine] = np.abs(m.tendons[index, 0] - m.tendons[index, 1])
-        out["time"][mine] = (m.run.t0_ns - first) * 1e-9 + t
+        out["time"][mine] = (started_ns(m.run) - first) * 1e-9 + t
         out["run"][mine] = i
     return out
 
 
-def _smooth(x: np.ndarray, width: int = 9) -> np.ndarray:
-    return np.convolve(np.pad(x, width // 2, mode="edge"), np.ones(width) / width, mode="valid")
+def _binned(place: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The bin of each of samples along an axis (N,), and where each of B bins begins and ends (B,)."""
+    values, index = np.unique(place, return_inverse=True)
+    if len(values) <= BINS:
+        return index, values, values
+    edges = np.unique(np.quantile(place, np.linspace(0, 1, BINS + 1)))
+    return np.clip(np.searchsorted(edges, place, side="right") - 1, 0, len(edges) - 2), edges[:-1], edges[1:]
 
 
 def region(
@@ -66,13 +75,10 @@ def region(
         weight = squared.sum(axis=0)
         low, high, held = _shortest(weight, np.ones(len(weight)), holds)
         return Region(block, channel, "segment", (low + 1.0, high + 1.0), "1", share * held)
-    edges = np.unique(np.quantile(place, np.linspace(0, 1, BINS + 1)))
-    if len(edges) < 3:
-        return Region(block, channel, axis, (float(place.min()), float(place.max())), UNITS[axis], share)
-    index = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, len(edges) - 2)
-    weight = np.bincount(index, squared.sum(axis=1), len(edges) - 1)
-    low, high, held = _shortest(weight, np.diff(edges), holds)
-    return Region(block, channel, axis, (float(edges[low]), float(edges[high + 1])), UNITS[axis], share * held)
+    index, begin, end = _binned(place)
+    weight = np.bincount(index, squared.sum(axis=1), len(begin))
+    low, high, held = _shortest(weight, end - begin if np.any(end > begin) else np.ones(len(begin)), holds)
+    return Region(block, channel, axis, (float(begin[low]), float(end[high])), UNITS[axis], share * held)
 
 
 def _shortest(weight: np.ndarray, width: np.ndarray, holds: float) -> tuple[int, int, float]:
@@ -91,12 +97,11 @@ def _shortest(weight: np.ndarray, width: np.ndarray, holds: float) -> tuple[int,
 def concentration(place: np.ndarray, gap: np.ndarray) -> float:
     """How much more of a gap (N, c) some bins of an axis hold than others: share of its squares' variance explained."""
     squared = (gap**2).sum(axis=1)
-    edges = np.unique(np.quantile(place, np.linspace(0, 1, BINS + 1)))
-    if len(edges) < 3 or not squared.var():
+    if not squared.var():
         return 0.0
-    index = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, len(edges) - 2)
-    count = np.bincount(index, minlength=len(edges) - 1)
-    mean = np.bincount(index, squared, len(edges) - 1) / np.maximum(count, 1)
+    index, begin, _ = _binned(place)
+    count = np.bincount(index, minlength=len(begin))
+    mean = np.bincount(index, squared, len(begin)) / np.maximum(count, 1)
     return float(np.sum(count * (mean - squared.mean()) ** 2) / (len(squared) * squared.var()))
 
 

@@ -7,8 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from ljjax.errors import InputError
 from ljjax.fit.covariance import bandwidth
-from ljjax.fit.windows import STEPS, cut, motion, white_noise
+from ljjax.fit.windows import STEPS, check_columns, cut, motion, white_noise
 from ljjax.logs import Run, Signal
 
 P_ATM = 101_325.0
@@ -49,6 +50,36 @@ def test_noise_and_its_colour_are_measured():
     for i in range(1, 5000):
         slow[i] = 0.95 * slow[i - 1] + white[i]
     assert bandwidth(slow) > 50
+
+
+def shown(run: Run, change) -> Run:
+    """The run with its shape as `change` makes it of its stamps and angles."""
+    s = run.signals["shape"]
+    t, value = change(s.t, s.value)
+    return dataclasses.replace(run, signals={**run.signals, "shape": dataclasses.replace(s, t=t, value=value)})
+
+
+def test_angles_so_coarse_that_most_samples_are_alike_have_the_noise_of_their_rounding(run_of):
+    step = np.radians(0.5)
+    coarse = motion(shown(pulled(run_of), lambda t, y: (t, step * np.round(y / step))), 2)
+    assert np.all(coarse.noise >= 0.99 * step / np.sqrt(12))
+    still = motion(shown(pulled(run_of), lambda t, y: (t, np.stack([y[:, 0], 0 * t], axis=1))), 2)
+    assert still.noise[1] == still.noise[0] > 0  # a joint that never moves
+
+
+def test_of_samples_with_one_stamp_the_last_counts(run_of):
+    run = pulled(run_of)
+    twice = shown(run, lambda t, y: (np.insert(t, 100, t[100]), np.insert(y, 100, 9.9, axis=0)))
+    once, again = motion(run, 2), motion(twice, 2)
+    assert np.all(np.diff(again.t) > 0)
+    np.testing.assert_array_equal(again.y, once.y)
+
+
+def test_runs_of_joints_and_runs_of_their_mean_are_not_taken_together(run_of):
+    run = pulled(run_of)
+    mean = shown(run, lambda t, y: (t, y.mean(axis=1, keepdims=True)))
+    with pytest.raises(InputError, match=r"logs 2 joint angles, .* their mean alone: give runs of one kind"):
+        check_columns([motion(run, 2), motion(mean, 2)])
 
 
 def test_a_run_that_begins_in_motion_starts_with_its_rate(run_of):

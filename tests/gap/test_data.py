@@ -11,10 +11,12 @@ from ljjax.fit.windows import Motion
 from ljjax.gap.data import in_order
 
 
-def run(start_s: float, seconds: float, **signals: Any) -> Motion:
-    """A run in which the shape goes from 0 to 0.5 rad."""
+def run(start_s: float, seconds: float, start_utc: str = "", **signals: Any) -> Motion:
+    """A run in which the shape goes from 0 to 0.5 rad, whose first stamp is at so many seconds."""
     t = np.linspace(0.0, seconds, 301)
-    log: Any = SimpleNamespace(t0_ns=round(start_s * 1e9), signals=signals)
+    log: Any = SimpleNamespace(
+        t0_ns=round(start_s * 1e9), signals=signals, metadata={"start_utc": start_utc}, path=f"{start_utc}.mcap"
+    )
     given = {name: np.zeros(1) for name in ("noise", "q0", "v0", "input_t", "vacuum", "worn", "warm")}
     motion: Any = Motion(
         **{**given, "noise": np.full(1, 1e-6)},
@@ -41,3 +43,11 @@ def test_a_temperature_that_is_logged_counts_from_the_first_run_on():
     first, second = in_order([run(0.0, 60.0, temperature=warmed(0.0)), run(90.0, 60.0, temperature=warmed(3.0))])
     np.testing.assert_allclose([first.warm[-1], second.warm[0]], [1.0, 3.0])
     np.testing.assert_allclose([second.worn[0], second.worn[-1]], [0.5, 1.0], atol=0.01)  # slip carries over too
+
+
+def test_runs_are_in_the_order_in_which_they_were_made_whatever_clock_stamps_them():
+    """Each stamped from 0 by a simulation's clock: `start_utc` says which came first, and how long it rested."""
+    later, first = run(0.0, 60.0, "2026-03-01T10:06:00+00:00"), run(0.0, 60.0, "2026-03-01T10:00:00+00:00")
+    ordered = in_order([later, first])
+    assert [m.run.path for m in ordered] == [first.run.path, later.run.path]
+    np.testing.assert_allclose(ordered[1].warm[0], ordered[0].warm[-1] * np.exp(-300 / 600), rtol=1e-9)

@@ -18,6 +18,7 @@ from benchmarks.recovery.robots import draw
 from benchmarks.recovery.study import model_of
 from ljjax import modelfile
 from ljjax.cli import main
+from ljjax.data import OCTROBOT
 from ljjax.effects import REGISTRY
 from ljjax.errors import InputError
 from ljjax.gap import diagnose
@@ -129,9 +130,18 @@ def test_a_slow_sheath_is_named_and_added(tmp_path, capsys):
     assert (folder / "out" / "result.mcap").exists()
 
 
-def test_a_robot_without_an_effect_only_needs_its_parameters(tmp_path):
-    data = diagnosed(record(tmp_path / "robot"), *FAR)
+def test_a_robot_without_an_effect_only_needs_its_parameters(tmp_path, capsys):
+    """One log more, without a vacuum, is left out, and the reader told."""
+    folder = record(tmp_path / "robot")
+    robot = draw(ROBOT + 1)[ROBOT]
+    with Writer(folder / "train" / "run_09.mcap", logs.metadata(robot, 9, "blind")) as log:
+        some: Any = Without(log, "pressure", "cmd_pressure")
+        wave = np.zeros((round(SECONDS / PERIOD_S), 6))
+        logs._moving(some, robot, 9, plan(robot, SECONDS, seed=3)[0], wave, np.random.default_rng(9))
+    data = diagnosed(folder, *FAR)
     contract(data)
+    (told,) = (w for w in data["warnings"] if "run_09.mcap" in w)
+    assert "pressure" in told and "run_09.mcap" in capsys.readouterr().out
     assert data["verdict"] == "parameters_only"
     assert data["selected"] == []
     assert data["gap"]["closed_fraction"] is None and data["gap"]["before"] < 1.1 * data["gap"]["noise_floor"]
@@ -195,16 +205,37 @@ def test_a_model_of_another_robot_is_refused(tmp_path, capsys):
 
 def test_bad_input_is_refused_by_name(tmp_path, capsys):
     folder = record(tmp_path / "robot")
-    run = str(folder / "train" / "run_01.mcap")
+    run, other = (str(folder / "train" / f"run_{k:02d}.mcap") for k in (1, 2))
     given = ["--model", str(folder / "nominal.toml"), "--out", str(tmp_path / "out")]
     for args, said in (
-        ([run, *given], "1 moving run: a diagnosis needs two or more"),
+        ([run, *given], "cannot tell from 1 moving run: a diagnosis needs three or more"),
+        ([run, other, *given], "cannot tell from 2 moving runs: a diagnosis needs three or more"),
+        ([run, *given, "--held-out", other], "1 moving run beside those of --held-out: a diagnosis fits two or more"),
         ([run, *given, "--without", "gremlins"], "--without gremlins: no such effect"),
         ([run, *given, "--effects", str(tmp_path / "own.py")], "own.py: no such file"),
     ):
         assert main(["gap", *args]) == 2
         assert said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_what_is_kept_unseen_is_fitted_nowhere_and_presses_beside_motion_set_no_parameter_free(tmp_path, monkeypatch):
+    """A log among those to fit and those of --held-out; a probe's log in the same folder."""
+    monkeypatch.setattr("ljjax.gap.run.Inquiry", lambda setting: setting)
+    monkeypatch.setattr("ljjax.gap.run.answer", lambda setting: setting)
+    folder = record(tmp_path / "robot")
+    runs = [read(p) for p in sorted((folder / "train").glob("*.mcap"))]
+    model = replace(modelfile.load(folder / "nominal.toml"), frozen=())
+    alone: Any = diagnose(model, runs, held_out=[read(runs[1].path)] * 2)
+    assert [m.run.path for m in alone.test] == [runs[1].path] and len(alone.train) == len(runs) - 1
+    press = read(OCTROBOT / "open_loop_stiffness.mcap")
+    press = replace(press, metadata={**press.metadata, "robot_id": runs[0].robot_id})
+    beside: Any = diagnose(model, [*runs, press])
+    assert beside.study.names == diagnose(model, runs).study.names  # type: ignore[attr-defined]
+    assert "chain.lever_arm_m" not in beside.study.names
+    assert any(line.startswith(f"left out: {press.path}: steady points and presses") for line in beside.said)
+    with pytest.raises(InputError, match="--held-out: no run to fit moves"):
+        diagnose(model, [press], held_out=runs)
 
 
 def test_single_precision_is_refused_with_the_mend():

@@ -34,7 +34,7 @@ def inquiry(*effects: Any) -> Inquiry:
     study = Study(start.model, c.names, kinds, runs, c.pressure, span(runs), start.bounds, start.priors)
     asked: Any = Inquiry.__new__(Inquiry)
     asked.setting, asked.base = SimpleNamespace(study=study, train=runs, test=()), study.base()
-    floor = study.floor(sum(len(m.t) for m in runs))
+    floor = float(study.floor(runs).sum())
     gap = asked.base.total - floor
     asked.selection = SimpleNamespace(gap=gap, own_left=lambda refit: (refit.total - floor) / gap)
     asked.measured = SimpleNamespace(joined=lambda share, _: share)
@@ -139,7 +139,7 @@ def varied(*effects: BaseTilt) -> tuple[Inquiry, Any]:
     asked = inquiry(*effects)
     study = asked.setting.study
     selection: Any = object.__new__(Selection)
-    selection.floor = study.floor(sum(len(m.t) for m in asked.setting.train))
+    selection.floor = float(study.floor(asked.setting.train).sum())
     selection.excess = asked.base.total - selection.floor
     selection.measured, selection._joined = asked.measured, {}
     trial = Trial(("base_tilt",), {"effects.base_tilt.tilt_rad": 0.1})

@@ -59,7 +59,7 @@ def study_of(*effects: Effect | None) -> Study:
 
 
 def leftovers(study: Study, base: Refit, found: Mapping[str, Refit]) -> dict[str, float]:
-    floor = study.floor(sum(len(m.t) for m in study.motions))
+    floor = float(study.floor(study.motions).sum())
     return {place: (r.total - floor) / (base.total - floor) for place, r in found.items()}
 
 

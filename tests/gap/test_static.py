@@ -18,6 +18,7 @@ from ljjax.fit.points import Points, collect
 from ljjax.gap import diagnose
 from ljjax.gap.show import show
 from ljjax.gap.static import diagnose_static
+from ljjax.gap.static_runs import sort
 from ljjax.logs import Run, Signal, read_all
 from ljjax.model import replace
 from ljjax.modelfile import ModelFile, load
@@ -166,6 +167,26 @@ def test_a_wrong_gain_is_taken_up_by_the_parameters():
     u = lambda theta, p: (TRUTH["gravity.alpha1"] * np.sin(N * theta) + alpha2(p) * theta) / ARM  # noqa: E731
     found = diagnosed(robot(lambda theta, p: -0.2 * u(theta, p)), given())
     assert found.verdict == "parameters_only" and found.effects[0].id == "parameters_only" and found.selected == []
+
+
+def part(run: Run, name: str, keep: np.ndarray, scale: float = 1.0) -> Run:
+    """A log of some of a steady log's points, its tensions times `scale`."""
+    signals = {
+        n: signal(s.t[keep], s.value[keep] * (scale if n == "tendons" else 1.0), s.columns, s.unit)
+        for n, s in run.signals.items()
+    }
+    return dataclasses.replace(run, path=f"{name}.mcap", sha256=name * 64, signals=signals)
+
+
+def test_logs_of_one_pressure_each_are_one_set_but_for_one_that_disagrees():
+    whole = robot(pressures=4)[0]
+    level = np.repeat(np.arange(4), 6)
+    runs = [part(whole, str(k), level == k) for k in range(4)]
+    runs.append(part(whole, "5", level == 1, 1.8))
+    steady, _, _ = collect(runs)
+    kept, (apart,) = sort(steady, runs)
+    assert set(kept.run) == {0, 1, 2, 3} and len(kept.level_pressures()) == 4
+    assert apart.name == runs[4].run_id and "1.80" in apart.words
 
 
 def test_too_few_pressures_are_refused_with_the_reason():
