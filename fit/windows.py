@@ -176,7 +176,7 @@ def white_noise(y: np.ndarray) -> np.ndarray:
 def _rounding(y: np.ndarray) -> np.ndarray:
     """(c,) standard deviation of what rounding takes from each column, by the least step between its values [rad]: of
     values so coarse that most third differences are nil these say nothing of the noise."""
-    steps = [np.diff(np.unique(column)) for column in y.T]
+    steps = [np.asarray(np.diff(np.unique(column)), float) for column in y.T]
     least = [np.min(s[s > 1e-9], initial=np.inf) for s in steps]
     return np.where(np.isfinite(least), least, 0.0) / np.sqrt(12)
 

@@ -119,7 +119,7 @@ def _span(story: Story, r: Region) -> str:
     if r.axis == "direction":
         return "back to straight" if high <= 0 else ("away from straight" if low >= 0 else "both ways")
     if r.axis == "run":
-        runs = by_start([*story.setting.train, *story.setting.test])
+        runs = by_start([*story.base.estimate.problem.motions, *story.setting.test])
         first, last = (runs[round(x) - 1].run.run_id for x in (low, high))
         return first if first == last else f"{first} … {last}"
     return number(low) if low == high else f"{number(low)} … {number(high)}"

@@ -42,6 +42,7 @@ class Rest(NamedTuple):
 
     time: Array
     alpha2: Vector
+    bare: Array
     phi: Vector
 
 
@@ -63,7 +64,7 @@ def balance(model: Model, q: Vector, net: Array, vacuum: Array) -> Balance:
     now = now._replace(alpha2=alpha2, phi=phi)
     load = step._load(model, now, memory, drive)
     gravity = model.gravity.alpha1 * jnp.sin(sum(q))
-    rest = Rest(zero, alpha2, phi)
+    rest = Rest(zero, alpha2, model.elastic.c3, phi)
     out = []
     for i, angle in enumerate(q):
         torque = load[i] - gravity - alpha2[i] * angle

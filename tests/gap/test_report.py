@@ -197,7 +197,7 @@ def test_two_effects_close_the_gap_one_after_the_other():
 def test_places_are_told_in_words():
     places = [
         Region("friction", "theta", "direction", (-1.0, 0.0), "1", 0.5),
-        Region("friction", "theta", "run", (0.0, 1.0), "1", 0.3),
+        Region("friction", "theta", "run", (1.0, 2.0), "1", 0.3),
         Region("sensing", "theta", "everywhere", (0.0, 0.0), "1", 0.2),
     ]
     d = diagnosed("listed_effect", (LAG,), where=places)
