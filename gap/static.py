@@ -7,7 +7,6 @@ not show. In each, every effect is judged together with the base parameters (`st
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -43,7 +42,7 @@ def diagnose_static(
     """Diagnose the gap on steady points and probe stiffness.
 
     Args:
-        start: the given model; effects in it are left aside.
+        start: the given model, a base model.
         start_from: where it came from.
         steady, probe: the points, as `ljjax.fit.points.collect` gives them; either may be empty.
         runs, said: the logs, and what each gave.
@@ -58,10 +57,9 @@ def diagnose_static(
     kinds = [kind for id, kind in REGISTRY.items() if id not in without]
     steady, apart = sort(steady, runs)
     steady, probe, short = _enough(steady, probe)
-    plain = dataclasses.replace(start.model, effects=())
-    base = fit_static(plain, steady, probe, frozen=start.frozen)
+    base = fit_static(start.model, steady, probe, frozen=start.frozen)
     laws = Laws(base.model, kinds)
-    channels, x, active = _channels(laws, base, plain, steady, probe, [k.id for k in kinds], start.frozen, rng)
+    channels, x, active = _channels(laws, base, start.model, steady, probe, [k.id for k in kinds], start.frozen, rng)
     found = answer.Found(start, start_from, laws, base, x, active, channels, apart, seed)
     return answer.diagnosis(found, runs, said, short, dict(options or {}))
 

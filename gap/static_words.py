@@ -107,9 +107,6 @@ def beware(found: Any, main: Channel, runs: Sequence[Run], said: Sequence[str], 
     inner = np.unique(main.points.levels[main.inner])
     if found.selected and len(inner) < 6:
         out.append(f"the interval of the closed fraction rests on {len(inner)} pressures only")
-    if found.start.model.effects:
-        names = ", ".join(e.id for e in found.start.model.effects)
-        out.append(f"the given model's own effects ({names}) were left aside; base and candidates start without them")
     for c in found.channels:
         if np.any(c.points.hold):
             out.append(
