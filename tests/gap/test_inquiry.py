@@ -170,3 +170,15 @@ def test_a_robot_that_is_mounted_anew_for_each_run_is_found():
     runs = asked.setting.train
     assert by_run(found) and not began(found, runs, ())
     assert unfixed([found], runs, runs).all()
+
+
+def test_the_noise_of_each_run_counts_by_its_samples():
+    """A long run that is quiet beside a short one that is not."""
+    runs: Any = [
+        SimpleNamespace(t=np.zeros(6000), seen_noise=np.array([0.5])),
+        SimpleNamespace(t=np.zeros(1000), seen_noise=np.array([2.0])),
+    ]
+    study: Any = object.__new__(Study)
+    study.unit, study.motions = np.array([0.5]), runs
+    np.testing.assert_allclose(study.floor(runs), [6000.0, 16000.0])
+    np.testing.assert_allclose(study.noise, np.sqrt((6000 * 0.25 + 1000 * 4.0) / 7000))
