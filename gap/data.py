@@ -91,11 +91,12 @@ def _outside(motions: Sequence[Motion], i: int) -> float:
 
 
 def span(motions: Sequence[Motion]) -> dict[str, float]:
-    """The largest tension [N], angle of a joint and slip [rad] there are, for the effects' pilots."""
+    """The largest tension [N], angle of a joint, slip [rad] and warmth [K] there are, for the effects' pilots."""
     return {
         "tension": max(float(m.tendons.max()) for m in motions),
         "angle": max(float(np.abs(m.y).max()) for m in motions),
         "slip": max(float(m.worn.max()) for m in motions),
+        "warmth": max(float(m.warm.max()) for m in motions),
         "": 1.0,
     }
 

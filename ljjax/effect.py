@@ -60,9 +60,9 @@ def shape(unit: str, default: float, low: float, high: float, pilots: tuple[floa
         unit, default, low, high: as of any parameter.
         pilots: values from which a search begins, each on its own.
         of: what of the data the pilots are shares of: `"tension"` [N], `"angle"` of a joint [rad], `"slip"` of the
-            mean joint over all runs [rad] (the largest there are), or nothing; `"waves"` for waves over the body's
-            whole bend [1/rad], and `"drift"`, `"reset_s"` and `"phase"` for a clock that is set now and then, which a
-            diagnosis finds itself.
+            mean joint over all runs [rad], `"warmth"`, what the temperature rises by [K] (the largest there are), or
+            nothing; `"waves"` for waves over the body's whole bend [1/rad], and `"drift"`, `"reset_s"` and `"phase"`
+            for a clock that is set now and then, which a diagnosis finds itself.
     """
     scale = 0.3 * (abs(default) or 1.0)
     return _field({"unit": unit, "null": default, "low": low, "high": high, "scale": scale, "pilots": pilots, "of": of})

@@ -152,8 +152,9 @@ COGGING_N, SLACK_N = 10.0, 0.01
 
 class ActuatorRipple(Effect):
     """Ripple over each spool's angle φ, which goes with the bend and with the stretch c of the tendon, ±q_Σ + c T:
-    T + A Σₖ aₖ sin(k w φ) + bₖ cos(k w φ), k = 1, 2, each tendon with a phase of its own; A = T₀ (T/T₀)^p, T₀ = 10 N,
-    is the tension itself (ripple of the torque, p = 1) or the same for all tensions (cogging, p = 0). A tendon never
+    T + A E Σₖ aₖ sin(k w φ) + bₖ cos(k w φ), k = 1, 2, each tendon with a phase of its own; A = T₀ (T/T₀)^p, T₀ = 10 N,
+    is the tension itself (ripple of the torque, p = 1) or the same for all tensions (cogging, p = 0). A wheel of N
+    teeth off its centre does more on one side of its turn, E = 1 + e_s sin(w φ/N) + e_c cos(w φ/N). A tendon never
     pushes."""
 
     id, block, axes = "actuator_ripple", "actuation", ("angle", "load")
@@ -168,14 +169,25 @@ class ActuatorRipple(Effect):
     waves: jax.Array = shape("1/rad", 15.0, 2.0, 200.0, (5.0, 8.0, 12.0, 18.0, 27.0, 40.0), "waves")
     stretch: jax.Array = shape("rad/N", 0.01, 1e-4, 0.3, (0.006, 0.018))
     power: jax.Array = shape("1", 1.0, 0.0, 1.0, (0.5,))
+    teeth: jax.Array = shape("1", 10.0, 3.0, 50.0, (10.0,))
+    left_runout_sine: jax.Array = shape("1", 0.0, -0.9, 0.9, (0.0,))
+    left_runout_cosine: jax.Array = shape("1", 0.0, -0.9, 0.9, (0.0,))
+    right_runout_sine: jax.Array = shape("1", 0.0, -0.9, 0.9, (0.0,))
+    right_runout_cosine: jax.Array = shape("1", 0.0, -0.9, 0.9, (0.0,))
 
     def actuate(self, memory, u, now):
         bend = sum(now.middle)
         left = self.left_sine, self.left_cosine, self.left_sine2, self.left_cosine2
         right = self.right_sine, self.right_cosine, self.right_sine2, self.right_cosine2
+        runouts = (
+            (self.left_runout_sine, self.left_runout_cosine),
+            (self.right_runout_sine, self.right_runout_cosine),
+        )
         out = []
-        for t, angle, shares in zip(u, (bend, -bend), (left, right), strict=True):
-            share = wave(self.waves * (angle + self.stretch * t), *shares)
+        for t, angle, shares, (sine, cosine) in zip(u, (bend, -bend), (left, right), runouts, strict=True):
+            turn = self.waves * (angle + self.stretch * t)
+            once = turn / self.teeth
+            share = wave(turn, *shares) * (1 + sine * jnp.sin(once) + cosine * jnp.cos(once))
             size = COGGING_N * jnp.exp(0.5 * self.power * jnp.log((t * t + SLACK_N**2) / COGGING_N**2))
             more, held = size * share, positive(t)
             out.append(t + jnp.where(more >= -held, more, -held))

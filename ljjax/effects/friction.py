@@ -69,26 +69,30 @@ SMALL = 1e-5
 
 
 class ThermalDrift(Effect):
-    """Friction and stiffness drift as the robot warms: times 1 + b W, W = (1 − exp(−c ΔT))/c, which is ΔT for c = 0 and
-    soon at its end for a large c; W exp(−f ΔT₊) for friction, the most at 1/f where layers rub most when they are
-    lukewarm. Where no temperature is logged ΔT is that of a robot that warms while it runs and cools in between,
-    towards 10 K and back within 600 s, 10 K (1 − exp(−t/600 s)) in a first run, and c says how much faster it is, or
-    slower."""
+    """Friction and stiffness drift as the robot warms: times 1 + b W, W = (1 − exp(−c x))/c of x, what ΔT exceeds T₀ by
+    (below 0, ΔT), which is x for c = 0 and soon at its end for a large c, as where layers soften at some warmth, T₀;
+    W exp(−f x₊) for friction, the most 1/f past T₀ where layers rub most when they are lukewarm. Where no temperature
+    is logged ΔT is that of a robot that warms while it runs and cools in between, towards 10 K and back within 600 s,
+    10 K (1 − exp(−t/600 s)) in a first run, and c says how much faster it is, or slower."""
 
     id, block, axes = "thermal_drift", "friction", ("run", "time", "direction")
     friction_per_k: jax.Array = parameter("1/K", 0.0, -2.0, 2.0, 0.01)
     stiffness_per_k: jax.Array = parameter("1/K", 0.0, -2.0, 2.0, 0.01)
     curve_per_k: jax.Array = shape("1/K", 0.0, -0.3, 3.0, (0.6, 0.0))
     falls_per_k: jax.Array = shape("1/K", 0.0, 0.0, 3.0, (0.2, 0.0))
+    from_k: jax.Array = shape("K", 0.0, 0.0, 100.0, (0.4, 0.0), "warmth")
+
+    def _past(self, warm):
+        return positive(warm - self.from_k) - positive(-warm)
 
     def _warmed(self, warm):
         c = self.curve_per_k
         c = jnp.where(jnp.abs(c) > SMALL, c, SMALL + c)  # so that its derivative is there at 0
-        return -jnp.expm1(-c * warm) / c
+        return -jnp.expm1(-c * self._past(warm)) / c
 
     def alpha2(self, memory, alpha2, now):
         return tuple(a * (1 + self.stiffness_per_k * self._warmed(now.warm)) for a in alpha2)
 
     def phi(self, memory, phi, now):
-        warmed = self._warmed(now.warm) * jnp.exp(-self.falls_per_k * positive(now.warm))
+        warmed = self._warmed(now.warm) * jnp.exp(-self.falls_per_k * positive(self._past(now.warm)))
         return tuple(p * (1 + self.friction_per_k * warmed) for p in phi)

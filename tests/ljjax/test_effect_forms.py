@@ -203,6 +203,19 @@ def test_cogging_pulls_a_slack_tendon_but_never_pushes():
         assert pulled(tension) == pytest.approx(max(tension - 1.0, 0.0), abs=2e-3)
 
 
+def test_a_wheel_off_its_centre_ripples_more_on_one_side_of_its_turn():
+    """Of 8 teeth, E = 1 + e sin(w φ/8) at the crests of the left tendon's wave, a cosine of its own at the right's."""
+    ripple: Any = REGISTRY["actuator_ripple"]
+    wheel = ripple(left_sine=0.1, right_sine=0.1, waves=16.0, stretch=1e-4, power=0.0, teeth=8.0,
+                   left_runout_sine=0.6, right_runout_cosine=0.3)  # fmt: skip
+    for crest in (0, 1, 2):
+        bend = (2 * np.pi * crest + np.pi / 2) / 16.0
+        now: Any = SimpleNamespace(middle=(jnp.asarray(bend),))
+        (left, right), _ = wheel.actuate((), (jnp.asarray(5.0), jnp.asarray(5.0)), now)
+        assert float(left) == pytest.approx(5.0 + 1 + 0.6 * np.sin(2 * bend), abs=0.02)
+        assert float(right) == pytest.approx(5.0 - 1 - 0.3 * np.cos(2 * bend), abs=0.02)
+
+
 @pytest.mark.parametrize("h", [0.002, 0.01, 0.04])
 def test_a_loop_of_limited_rate_goes_at_that_rate_whatever_the_step(h):
     """A jump of 10 N at 5 N/0.01 s."""
@@ -373,6 +386,18 @@ def test_layers_may_rub_most_when_lukewarm():
     warms = REGISTRY["thermal_drift"](**{"friction_per_k": 0.1, "falls_per_k": 0.25})
     more = [float(warms.phi((), (jnp.ones(()),), cast(Any, SimpleNamespace(warm=w)))[0]) - 1 for w in (2.0, 4.0, 8.0)]
     np.testing.assert_allclose(more, [0.2 * np.exp(-0.5), 0.4 * np.exp(-1), 0.8 * np.exp(-2)], rtol=1e-3)
+
+
+def test_layers_may_soften_all_at_once_at_some_warmth():
+    """T₀ = 4 K, c = 3/K: nothing until 4 K, nearly all of b/c at 6 K; below 0 there is no threshold."""
+    warms: Any = REGISTRY["thermal_drift"](**{"stiffness_per_k": -0.9, "curve_per_k": 3.0, "from_k": 4.0})
+
+    def share(warm: float) -> float:
+        return float(warms.alpha2((), (jnp.ones(()),), SimpleNamespace(warm=jnp.asarray(warm)))[0])
+
+    past = 1 - 0.3 * -np.expm1(-3.0 * np.array([0.5, 2.0]))
+    np.testing.assert_allclose([share(w) for w in (1.0, 3.9, 4.5, 6.0)], [1.0, 1.0, *past], rtol=1e-5)
+    assert share(-0.1) == pytest.approx(1 - 0.3 * -np.expm1(0.3), rel=1e-5)
 
 
 def test_damping_may_be_of_grease_that_is_squeezed_more_towards_the_tip_or_go_with_the_stiffness():
