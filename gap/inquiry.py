@@ -31,7 +31,7 @@ LEFT_OVER, SOME = 0.1, 0.01
 are asked."""
 UNTRIED, BEHIND = 0.35, 1.5
 """The share that an effect not refitted to all runs is taken to leave at least, and how many times what the best one
-leaves: where that is much, all others were begun on a few runs and fell behind there."""
+leaves."""
 SHOWN = 2.0
 """How many times the noise's variance the base leaves at least of unseen runs that can tell what carries over."""
 ELSEWHERE = 0.05
@@ -60,6 +60,12 @@ class Setting:
     test: Sequence[Motion]
     said: list[str]
     study: Study
+
+
+def fell_behind(promised: float, best: float) -> float:
+    """The share of the gap that an effect leaves that was not refitted to all runs: what the Jacobian promises is the
+    least of it, and where the best leaves much it was begun on a few runs and did worse there."""
+    return max(promised, UNTRIED, min(BEHIND * best, 1.0))
 
 
 def onset(effect: Effect) -> tuple[float, float] | None:
@@ -255,9 +261,9 @@ class Inquiry:
         unseen, held_out = ({i: by[r] for i, r in found.single.items()} for by in leave)
         best = min(left.values(), default=0.0)
         for i in screen.ids:
-            if i not in left:  # what the Jacobian promises, at best; where much is left it fell behind on few runs
+            if i not in left:
                 promised = 1 - screen.gains[screen.best(i)] / self.selection.gap
-                left[i] = max(measured.joined(promised, ()), UNTRIED, min(BEHIND * best, 1.0))
+                left[i] = fell_behind(measured.joined(promised, ()), best)
         size = {i: found.single[i].trial.size if i in found.single else 1 for i in left}
         used = {i: r.used[i] for i, r in found.single.items()}
         if len(found.best.ids) > 1:

@@ -15,7 +15,7 @@ from ljjax.fit.run import prepared
 from ljjax.gap.answer import _left_over
 from ljjax.gap.candidates import Trial
 from ljjax.gap.data import in_order, span
-from ljjax.gap.inquiry import Inquiry, began, unfixed
+from ljjax.gap.inquiry import Inquiry, began, fell_behind, unfixed
 from ljjax.gap.search import Study
 from ljjax.gap.selection import Selection
 from ljjax.gap.stand_ins import QUICK, STAND_INS
@@ -73,6 +73,14 @@ def shares(asked: Inquiry, trial: Trial) -> tuple[float, float, np.ndarray, np.n
     (unseen,) = asked.leave_unseen([refit])
     (told,) = asked.told_elsewhere([refit])
     return left, unseen, told, asked.closes(refit)
+
+
+@pytest.mark.parametrize(
+    ("promised", "best", "left"), [(0.0, 0.01, 0.35), (0.2, 0.6, 0.9), (0.95, 0.6, 0.95), (0.5, 0.9, 1.0)]
+)
+def test_an_effect_that_was_not_refitted_never_stands_beside_one_that_was(promised, best, left):
+    assert fell_behind(promised, best) == pytest.approx(left)
+    assert fell_behind(promised, best) > best
 
 
 def test_runs_that_never_touch_an_obstacle_say_nothing_against_it(touched):
