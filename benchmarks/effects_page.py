@@ -23,9 +23,10 @@ from ljjax.cli import start_jax
 from ljjax.effects import BLOCKS, REGISTRY
 from ljjax.effects.varying import ONSET, WAYS, varying
 from ljjax.fit.run import prepared
+from ljjax.fit.session import in_order
 from ljjax.fit.shooting import together
 from ljjax.gap.candidates import pilots, universal
-from ljjax.gap.data import in_order, span
+from ljjax.gap.data import span
 from ljjax.gap.screening import Screen, gather, screen
 from ljjax.gap.search import QUICK
 from ljjax.inputs import Inputs

@@ -242,6 +242,7 @@ class Search:
             rejected = 0
             while True:
                 step = self._step(a, g, damping, limits)
+                step = step * self.problem.room(point.x, step)
                 gain = float(2 * g @ step - step @ a @ step)
                 if gain <= max(done, self.how.share * chi2) * (1.0 if damping <= 1e-2 else 1e-3):
                     converged = True

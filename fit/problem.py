@@ -36,6 +36,16 @@ ROUNDS = (
 )
 
 
+ROUNDING, BISECTIONS = 1e-9, 20
+"""By how much of a bounded parameter's range it may lie beyond; halvings of a step that would take one further."""
+
+
+def within(value: float, ends: tuple[float, float]) -> bool:
+    """Whether a value lies between two ends, to rounding."""
+    low, high = ends
+    return bool(low - ROUNDING * (high - low) <= value <= high + ROUNDING * (high - low))
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """What a dynamic fit is asked: the data of one robot and how its parameters may move.
@@ -62,7 +72,25 @@ class Problem:
             return []
         value, slope = c.physical(x), c.jacobian(x)
         index = {name: c.names.index(name) for name in bounds if name in c.names}
-        return [(slope[i], *(limit - value[i] for limit in bounds[name])) for name, i in index.items()]
+        ends = [(i, *(float(limit - value[i]) for limit in bounds[name])) for name, i in index.items()]
+        return [(slope[i], min(low, 0.0), max(high, 0.0)) for i, low, high in ends]
+
+    def room(self, x: np.ndarray, step: np.ndarray) -> float:
+        """The share of a step (k,) from x (k,), which heeds `limits` to first order, that stays within the bounds."""
+        c = self.coordinates
+        index = {c.names.index(name): ends for name, ends in self.bounds.items() if name in c.names}
+
+        def inside(share: float) -> bool:
+            value = c.physical(x + share * step)
+            return all(within(value[i], ends) for i, ends in index.items())
+
+        least, most = 0.0, 1.0
+        if not index or inside(most):
+            return most
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (least + most)
+            least, most = (middle, most) if inside(middle) else (least, middle)
+        return least
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,9 @@ from ljjax.fit.dynamic import estimate, predict
 from ljjax.fit.kernel import one_blas_thread
 from ljjax.fit.moving import DynamicResult
 from ljjax.fit.points import Points, collect, points_of, set_aside
-from ljjax.fit.problem import ROUNDS, Estimate, Problem, Round
+from ljjax.fit.problem import ROUNDS, Estimate, Problem, Round, within
 from ljjax.fit.result import NOMINAL, FitResult, StaticResult
+from ljjax.fit.session import in_order
 from ljjax.fit.shooting import Asking, together
 from ljjax.fit.static import Constraints, Weights, fit_static
 from ljjax.fit.stochastic import descend
@@ -259,7 +260,7 @@ def prepared(
     for name in start.bounds:
         low, high = start.bounds[name]
         value = float(get(start.model, name))
-        if name in free and not low < value < high:
+        if name in free and not within(value, start.bounds[name]):
             raise InputError(
                 f"{start_from}: fit.bounds.{name} = [{low:g}, {high:g}] does not hold the starting value {value:g}; "
                 "move the one or the other"
@@ -271,6 +272,10 @@ def prepared(
         except InputError as error:
             said.append(f"left out: {error}")
     check_columns([*motions, *tests])
+    place = {id(m.run): i for m, i in zip(motions, moving, strict=True)}
+    session = in_order([*motions, *tests])
+    motions, tests = ([m for m in session if (id(m.run) in place) == fitted] for fitted in (True, False))
+    moving = [place[id(m.run)] for m in motions]
     problem = Problem(Coordinates(start.model, free, top), motions, points, start.priors, start.bounds)
     return _Case(start, start_from, list(runs), said, tuple(sorted(held & set(known))), problem, moving, tests)
 

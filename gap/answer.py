@@ -12,8 +12,9 @@ from ljjax.effects.varying import by_run
 from ljjax.fit.points import beware_of
 from ljjax.fit.problem import Estimate
 from ljjax.fit.result import NOMINAL
+from ljjax.fit.session import by_start
 from ljjax.gap import judge, screening, where
-from ljjax.gap.data import by_start, role_of
+from ljjax.gap.data import role_of
 from ljjax.gap.experiment import next_experiment
 from ljjax.gap.inquiry import LEFT_OVER, Inquiry, began, onset, unfixed
 from ljjax.gap.result import Diagnosis, Finding, Fold, Gap, Region

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -75,7 +76,7 @@ def sizes(kind: type[Effect], joints: int, logged: int) -> list[str]:
     """Names of the parameters that say how large an effect is, those left out that nothing logged could show: modes
     along the body where `logged` is θ alone, or the body has too few joints for them."""
     modes = max(min(logged, joints) - 1, min(kind.modes_of_theta, joints - 1))
-    return [n for n in kind.sizes() if not n.startswith("mode") or int(n[4:]) <= modes]
+    return [n for n in kind.sizes() if not re.fullmatch(r"mode\d+", n) or int(n[4:]) <= modes]
 
 
 def pilots(kind: type[Effect], span: Mapping[str, float], waves: Sequence[float] = ()) -> list[dict[str, float]]:

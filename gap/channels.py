@@ -22,9 +22,16 @@ from ljjax.fast import mean
 from ljjax.fit.least_squares import solve
 from ljjax.fit.windows import Motion, white_noise
 from ljjax.gap.candidates import pilots
+from ljjax.gap.data import span
 from ljjax.gap.screening import clock, rates, waves_in
+from ljjax.model import Model
+from ljjax.step import Unrolled, directions
 
 STEP_S, ITERATIONS, STEP = 0.005, 20, 1e-4
+SMOOTH = 5
+"""Steps on either side over which the rate of the measured shape is taken."""
+CLOCK = {"drift": 1.0, "reset_s": 1.0, "phase": 0.0}
+"""Shares for a clock where none is heard."""
 SPEAKS = 1.3
 """A channel speaks if its RMS distance from the command is so many times its noise, whether a command that changes at
 a stamp counts there already or not yet, and an effect explains some."""
@@ -214,14 +221,14 @@ class Measured:
         return out
 
 
-def look(motions: Sequence[Motion], kinds: Sequence[type[Effect]]) -> Measured:
-    """What the measured inputs of these runs say of the effects that act on them."""
+def look(motions: Sequence[Motion], kinds: Sequence[type[Effect]], model: Model) -> Measured:
+    """What the measured inputs of these runs say of the effects that act on them, on a robot like the model."""
     channels = []
     for name, signal, hook in (("tension", "tendons", "actuate"), ("pressure", "pressure", "evacuate")):
         mine = [m for m in motions if m.source == "commands" and signal in m.run.signals]
         acting = [k for k in kinds if _acts(k, hook)]
         if mine and acting:
-            channels.append(_channel(name, signal, mine, acting))
+            channels.append(_channel(name, signal, mine, acting, model))
     return Measured(channels)
 
 
@@ -231,8 +238,8 @@ def _acts(kind: type[Effect], hook: str) -> bool:
     return (delays or getattr(kind, hook) is not getattr(Effect, hook)) and not beyond
 
 
-def _channel(name: str, signal: str, motions: Sequence[Motion], kinds: Sequence[type[Effect]]) -> Channel:
-    inputs, none = _Inputs(motions, signal), np.zeros((1, 0))
+def _channel(name: str, signal: str, motions: Sequence[Motion], kinds: Sequence[type[Effect]], model: Model) -> Channel:
+    inputs, none = _Inputs(motions, signal, model), np.zeros((1, 0))
     noise, base = inputs.noise, inputs.error(None, none)[0]
     limit = 6 * 1.4826 * np.median(np.abs(base - np.median(base))) + 20 * noise
     inside = np.abs(base) < max(limit, np.quantile(np.abs(base), 0.99))
@@ -240,8 +247,7 @@ def _channel(name: str, signal: str, motions: Sequence[Motion], kinds: Sequence[
     channel = Channel(name, rms, noise, {}, {}, inputs.error, inside)
     stamped = (inputs.error(None, none, late)[0, inside] for late in (-0.5 * STEP_S, 0.0, 0.5 * STEP_S))
     if min(map(_rms, stamped)) > SPEAKS * noise:
-        top = max(float(m.tendons.max()) for m in motions)
-        scale = {"tension": top, "angle": 1.0, "slip": 1.0, "": 1.0, **inputs.clock(base)}
+        scale = {**span(motions), "angle": 1.0, "slip": 1.0, **CLOCK, **inputs.clock(base)}
         waves = inputs.waves(base)
         found = {k.id: _explained(k, channel, pilots(k, scale, waves)) for k in kinds}
         left = {i: channel.leaves(rms) for i, (rms, _) in found.items()}
@@ -266,25 +272,29 @@ def _explained(
 class _Inputs:
     """Measured inputs of all runs at their stamps, and what their commands and an effect make of them."""
 
-    def __init__(self, motions: Sequence[Motion], signal: str):
-        self.motions, self.tension = motions, signal == "tendons"
+    def __init__(self, motions: Sequence[Motion], signal: str, model: Model):
+        self.motions, self.tension, self.model = motions, signal == "tendons", model
         given = [m.run.signals[signal] if self.tension else m.run.vacuum_kpa(signal) for m in motions]
         longest = max(float(s.t[-1] - m.input_t[0]) for s, m in zip(given, motions, strict=True))
         count = int(np.ceil(longest / STEP_S)) + 1
-        self.t, self.edges, y, vacuum, q = [], [], [], [], []
+        self.t, self.edges, y, paths = [], [], [], []
         for s, m in zip(given, motions, strict=True):
             begin = max(float(m.input_t[0]), float(s.t[0]))
             self.t.append(s.t[s.t >= begin])
             y.append(s.value[s.t >= begin])
             edges = begin + STEP_S * np.arange(count + 1)
             self.edges.append(edges)
-            theta = np.stack([np.interp(edges[:-1], m.t, c) for c in m.y.T], axis=1)
-            q.append(np.broadcast_to(theta, (count, len(m.q0))))
-            vacuum.append(mean(m.input_t, m.vacuum[:, None], edges, m.hold, np)[:, 0])
+            theta = np.stack([np.interp(edges, m.t, c) for c in m.y.T], axis=1)
+            q = np.broadcast_to(theta, (count + 1, len(m.q0)))
+            beside = np.pad(q, ((SMOOTH, SMOOTH - 1), (0, 0)), mode="edge")
+            v = (beside[2 * SMOOTH - 1 :] - beside[: -2 * SMOOTH + 1])[:count] / ((2 * SMOOTH - 1) * STEP_S)
+            warm, worn = np.interp(edges[:-1], m.t, m.warm), np.full(count, m.worn[0])
+            vacuum = mean(m.input_t, m.vacuum[:, None], edges, m.hold, np)[:, 0]
+            paths.append((vacuum, q[:-1], q[1:], v, warm, worn))
         self.y = np.concatenate([x.ravel() for x in y])
         self.noise = max(float(np.sqrt(np.mean([np.mean(white_noise(x) ** 2) for x in y]))), 1e-6)
         self.begins = np.stack([e[:-1] for e in self.edges])
-        self.drive = self._commanded(0.0), np.stack(vacuum), np.stack(q)
+        self.drive = self._commanded(0.0), *(np.stack(x) for x in zip(*paths, strict=True))
 
     def _commanded(self, delay: float) -> np.ndarray:
         """(R, T, 2) mean commanded tensions of the steps, so much later."""
@@ -312,13 +322,13 @@ class _Inputs:
     def error(self, kind: type[Effect] | None, x: np.ndarray, late_s: float = 0.0) -> np.ndarray:
         """(m, N) predicted − measured through an effect of the parameters x (m, p), or none; at the stamps by linear
         interpolation between the middles of steps, or so much later."""
-        commanded, vacuum, q = self.drive
+        commanded, vacuum, *_ = self.drive
         if kind is None:
             series = (commanded if self.tension else vacuum[..., None])[None]
         elif kind.delay_s is not Effect.delay_s:
             series = np.concatenate([self._delayed(kind, row) for row in x])
         else:
-            series = np.asarray(_through(kind(*x.T), self.begins, *self.drive, self.tension))
+            series = np.asarray(_through(self.model, kind(*x.T), self.begins, *self.drive, self.tension))
         out = []
         for row in series:
             at = [
@@ -335,31 +345,37 @@ class _Inputs:
         """(1, R, T, 2) tensions after a transport delay and what else an effect of these parameters (p,) does."""
         delay = kind(*x).delay_s()
         commanded = self._commanded(0.0 if delay is None else float(delay))
-        return np.asarray(_through(kind(*x[:, None]), self.begins, commanded, *self.drive[1:], self.tension))
+        effects = kind(*x[:, None])
+        return np.asarray(_through(self.model, effects, self.begins, commanded, *self.drive[1:], self.tension))
 
 
 @eqx.filter_jit
-def _through(effects: Effect, t: Any, tendons: Any, vacuum: Any, q: Any, tension: bool) -> jax.Array:
-    """(m, R, T, 2) tensions or (m, R, T, 1) vacuum after effects of (m,) parameters."""
-    t, tendons, vacuum, q = jnp.asarray(t), jnp.asarray(tendons), jnp.asarray(vacuum), jnp.asarray(q)
+def _through(model: Model, effects: Effect, t: Any, tendons: Any, *paths: Any) -> jax.Array:
+    """(m, R, T, 2) tensions or (m, R, T, 1) vacuum after effects of (m,) parameters, along what was measured: vacuum, q
+    before and after a step, v, warmth and wear; last whether tensions are asked for."""
+    *measured, tension = paths
+    drive = tuple(jnp.asarray(x) for x in (t, tendons, *measured))
     zero = jnp.zeros(())
 
-    def now(t: jax.Array, u: jax.Array, p: jax.Array, shape: jax.Array) -> Now:
-        joints = tuple(shape)
+    def now(given: Any) -> Now:
+        t, u, p, q, _, v, warm, worn = given
+        joints = tuple(q)
         still = tuple(zero for _ in joints)
-        return Now(None, t, zero + STEP_S, joints, still, still, joints, (u[0], u[1]), p, zero, zero)
+        return Now(
+            *(model, t, zero + STEP_S, joints, tuple(v), still, joints, (u[0], u[1]), p, warm, worn),
+            *directions(joints),
+        )
 
-    def one(effect: Effect, t: jax.Array, tendons: jax.Array, vacuum: jax.Array, q: jax.Array) -> jax.Array:
+    def one(effect: Effect, drive: Any) -> jax.Array:
         def step(memory: Any, given: Any) -> tuple[Any, jax.Array]:
-            here = now(*given)
-            if tension:
-                u, memory = effect.actuate(memory, here.u, here)
-                return memory, jnp.stack(u)
+            here = now(given)
+            u, memory = effect.actuate(memory, here.u, here)
             p, memory = effect.evacuate(memory, here.vacuum, here)
-            return memory, jnp.stack([p])
+            after = Unrolled(tuple(given[4]), here.v, here.z)
+            return effect.remember(memory, here, after), jnp.stack(u) if tension else jnp.stack([p])
 
-        first = effect.start(now(t[0], tendons[0], vacuum[0], q[0]))
-        return jax.lax.scan(step, first, (t, tendons, vacuum, q))[1]
+        first = effect.start(now(tuple(x[0] for x in drive)))
+        return jax.lax.scan(step, first, drive)[1]
 
-    runs = jax.vmap(one, in_axes=(None, 0, 0, 0, 0))
-    return jax.vmap(runs, in_axes=(0, None, None, None, None))(effects, t, tendons, vacuum, q)
+    runs = jax.vmap(one, in_axes=(None, 0))
+    return jax.vmap(runs, in_axes=(0, None))(effects, drive)

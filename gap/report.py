@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ljjax import page
+from ljjax.fit.session import by_start
 from ljjax.gap import figures
-from ljjax.gap.data import by_start
 from ljjax.gap.result import LAST, Diagnosis, Region
 from ljjax.gap.static_figures import plain
 from ljjax.gap.story import Course, Story, assumed, cards, degrees, headline, percent

@@ -9,18 +9,22 @@ import numpy as np
 
 from ljjax import effects, modelfile
 from ljjax.data import OCTROBOT
-from ljjax.errors import InputError
+from ljjax.effect import Effect
+from ljjax.errors import InputError, SolverError
 from ljjax.fit.kernel import one_blas_thread
 from ljjax.fit.points import set_aside
 from ljjax.fit.result import NOMINAL
 from ljjax.fit.run import calm, parted, prepared, resting
+from ljjax.fit.session import in_order
 from ljjax.fit.windows import Motion, Source, check_columns, motion, with_tips
 from ljjax.gap.answer import answer
-from ljjax.gap.data import FITTED, in_order, span, unseen
+from ljjax.gap.candidates import sizes
+from ljjax.gap.data import FITTED, span, unseen
 from ljjax.gap.inquiry import Inquiry, Setting
 from ljjax.gap.result import Diagnosis
 from ljjax.gap.search import Study
 from ljjax.logs import Run
+from ljjax.model import check
 from ljjax.modelfile import ModelFile
 
 LEAST = 15.0
@@ -93,12 +97,31 @@ def diagnose(
     if train[0].tip is not None:
         said.append("the tip's orientation, logged in all of these runs, counts beside the shape")
     _moves_enough(train)
-    kinds = [k for i, k in effects.REGISTRY.items() if i not in without]
-    c = case.problem.coordinates
-    study = Study(start.model, c.names, kinds, train, c.pressure, span(train), start.bounds, start.priors, progress)
+    kinds, c = _on_trial(without, start.model.n, train, said), case.problem.coordinates
+    top = max(c.pressure, *(float(m.vacuum.max()) for m in test))
+    check(start.model, [0.0, top], start_from)
+    again = prepared(start, start_from, [m.run for m in train], (), start.frozen, inputs)  # held by what is fitted
+    assert not isinstance(again, list)
+    said += [line for line in again.said if line not in case.said]
+    names = again.problem.coordinates.names
+    study = Study(start.model, names, kinds, train, top, span(train), start.bounds, start.priors, progress)
     rng = np.random.default_rng(seed)
     setting = Setting(start, start_from, options, seed, rng, [*runs, *held_out], train, test, said, study)
-    return answer(Inquiry(setting))
+    try:
+        return answer(Inquiry(setting))
+    except FloatingPointError as error:
+        raise SolverError(f"{start_from}: {error}; give a model nearer to the robot") from None
+
+
+def _on_trial(without: Sequence[str], n: int, train: Sequence[Motion], said: list[str]) -> list[type[Effect]]:
+    """The candidates; those of which runs that log so little say nothing are left out and added to `said`."""
+    kinds = [k for i, k in effects.REGISTRY.items() if i not in without]
+    logged = train[0].y.shape[1]
+    shown = [k for k in kinds if sizes(k, n, logged)]
+    said += [f"{k.id} is not on trial: logs of so few joints say nothing of it" for k in kinds if k not in shown]
+    if not shown:
+        raise InputError("--without leaves no effect to try; leave out fewer")
+    return shown
 
 
 def _parted(
@@ -132,9 +155,10 @@ def _parted(
 
 def _moves_enough(train: Sequence[Motion]) -> None:
     """Refuse runs in which an effect could not be told from noise."""
-    moved, noise = (max(float(np.max(x(m))) for m in train) for x in (lambda m: np.ptp(m.y, axis=0), lambda m: m.noise))
-    if moved < LEAST * noise:
+    moved = max(float(np.max(np.ptp(m.y, axis=0))) for m in train)
+    clear = max(float(np.max(np.ptp(m.y, axis=0) / m.noise)) for m in train)
+    if clear < LEAST:
         raise InputError(
-            f"cannot tell from these data: the shape moves by {np.degrees(moved):.2g}° at most, {moved / noise:.2g} "
+            f"cannot tell from these data: the shape moves by {np.degrees(moved):.2g}° at most, {clear:.2g} "
             f"times its noise, and a diagnosis needs {LEAST:g}; record runs of larger tensions"
         )

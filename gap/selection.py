@@ -126,7 +126,7 @@ class Selection:
         steps = self._begun(screen, [*first, *more])
         trials = [*steps, *self._heard()]
         found = study.refit(self.base.model, trials, screen, steps, finish=4, sure=3)
-        if self.excess <= judge.OPEN * self.floor:
+        if self.excess <= judge.OPEN * self.floor or not np.isfinite(self.given.total):
             return found
         screen = self._from_given = study.screen(self.given)
         best_first = list(dict.fromkeys(r.ids[0] for r in sorted(found, key=lambda r: r.total)))
@@ -258,6 +258,8 @@ class Selection:
     def _further(self, best: Refit, unit: float) -> list[Refit]:
         """What promises most on top of the best so far, refitted with it; begun anew where none of it is worth having,
         as the best had to do the others' part, and may have gone where they cannot bring it back from."""
+        if len(best.ids) == len(self.study.kinds):
+            return []
         on_top = self.study.screen(best)
         steps = self._begun(on_top, ahead(on_top, SECOND), best)
         trials = [*steps, *self._heard(best)]

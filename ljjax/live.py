@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 
 import jax
@@ -13,10 +12,6 @@ from jaxtyping import Array
 
 from ljjax.model import Model, astype
 from ljjax.step import Drive, How, advance, at_rest, constants
-
-SELF_HEATING_K, SELF_HEATING_S = 10.0, 600.0
-"""What a robot warms to while it runs, and how fast, as the effect `thermal_drift` has it where no temperature is
-logged; between two runs it cools as fast."""
 
 
 class Live:
@@ -40,13 +35,13 @@ class Live:
         first, unravel = ravel_pytree(at_rest(model, (zero,) * n, Drive(zero, zero, zero, t=zero)))
 
         def one_step(flat: Array, given: Array) -> tuple[Array, Array]:
-            left, right, vacuum, t, warm = (given[i] for i in range(5))
-            drive = Drive(left, right, vacuum, t=t, warm=warm)
+            left, right, vacuum, t = (given[i] for i in range(4))
+            drive = Drive(left, right, vacuum, t=t)
             new = advance(model, constants(model), unravel(flat), drive, step_s, How(3, loops=True))
             seen = new.q if new.sensed is None else new.sensed
             return ravel_pytree(new)[0], jnp.stack([*seen, sum(new.q)])
 
-        self._step = jax.jit(one_step).lower(first, jnp.zeros(5, jnp.float64)).compile()
+        self._step = jax.jit(one_step).lower(first, jnp.zeros(4, jnp.float64)).compile()
         self._state, self._count = first, 0
         self._pulls = deque([(0.0, 0.0)] * (round(late / step_s) + 1), maxlen=round(late / step_s) + 1)
         seen = np.asarray([0.0] * (n + 1))
@@ -75,8 +70,7 @@ class Live:
             FloatingPointError: the state is no longer finite.
         """
         self._pulls.append((left_n, right_n))
-        warm = -SELF_HEATING_K * math.expm1(-self.t / SELF_HEATING_S)
-        given = np.array([*self._pulls[0], max(0.0, vacuum_kpa), self.t, warm])
+        given = np.array([*self._pulls[0], max(0.0, vacuum_kpa), self.t])
         self._state, seen = self._step(self._state, given)
         self._now = np.asarray(seen)
         if not np.all(np.isfinite(self._now)):

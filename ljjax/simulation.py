@@ -14,7 +14,7 @@ import optimistix
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from ljjax import energy, fast
+from ljjax import energy, fast, step
 from ljjax._types import Joints, Scalar
 from ljjax.chain import tip_pose
 from ljjax.dynamics import State, pressure_power, rhs, tendon_torque
@@ -70,19 +70,20 @@ class Trajectory(NamedTuple):
 
 def rest(model: Model, inputs: Inputs, q: Joints | float = 0.0) -> State:
     """Rest at the shape q (n,) [rad] under the first inputs: z balances the forces, within |zᵢ| ≤ μ_S/σ₀."""
-    u, u_p, tau = inputs.at(inputs.t[0])
     shape = jnp.broadcast_to(jnp.asarray(q, inputs.t.dtype), (model.n,))
-    drive = Drive(u[0], u[1], u_p, None if tau is None else unroll(tau), t=inputs.t[0])
-    found = at_rest(model, unroll(shape), drive)
+    found = at_rest(model, unroll(shape), _first(inputs))
     return State(*(jnp.stack(x) for x in (found.q, found.v, found.z)))
 
 
-def unsensed(model: Model, q: Joints) -> Joints:
-    """(n,) the joint angles that are [rad], from those that are logged at rest: effects of sensing undone."""
-    shape = unroll(q)
-    for effect in reversed(model.effects):
-        shape = effect.unsense(shape)
-    return jnp.stack(shape)
+def unsensed(model: Model, inputs: Inputs, q: Joints) -> Joints:
+    """(n,) the joint angles that are [rad] under the first inputs, from those logged at rest: effects of sensing
+    undone."""
+    return jnp.stack(step.unsensed(model, unroll(q), unroll(0.0 * q), _first(inputs)))
+
+
+def _first(inputs: Inputs) -> Drive:
+    u, u_p, tau = inputs.at(inputs.t[0])
+    return Drive(u[0], u[1], u_p, None if tau is None else unroll(tau), t=inputs.t[0])
 
 
 def simulate(
@@ -128,7 +129,8 @@ def simulate(
     if isinstance(run, Run):
         driven = from_run(run, inputs)
         at = run.signal("shape").t if at is None else at
-        initial = rest(model, driven, unsensed(model, initial_shape(run, model.n))) if initial is None else initial
+        if initial is None:
+            initial = rest(model, driven, unsensed(model, driven, initial_shape(run, model.n)))
         where = run.path
     else:
         driven, where = run, "inputs"

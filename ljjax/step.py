@@ -37,6 +37,11 @@ from ljjax.model import Friction, Model
 GAMMA = 1 - 1 / math.sqrt(2)
 MOMENT_S = 1e-6
 """What effects are told is the step while a run begins, so that none divides by 0."""
+LEAST = 0.02
+"""The share of a stiffness or friction that effects leave at least."""
+SELF_HEATING_K, SELF_HEATING_S = 10.0, 600.0
+"""What a robot warms to while it runs, and how fast, as the effect `thermal_drift` has it where no temperature is
+logged; between two runs it cools as fast."""
 
 
 class Unrolled(NamedTuple):
@@ -52,8 +57,9 @@ class Unrolled(NamedTuple):
 
 class Drive(NamedTuple):
     """What drives one step: mean tensions u₁, u₂ [N], vacuum [kPa], external torques [N·m] or None; where effects ask
-    for them the temperature's rise [K], the step's start [s], the slip of earlier runs [rad], and the slopes [N/s] of
-    u₁, u₂ over a further delay, where they are delayed already."""
+    for them the temperature's rise [K] (without it that of a robot that warms while it runs, from its start at 0 s),
+    the step's start [s], the slip of earlier runs [rad], and the slopes [N/s] of u₁, u₂ over a further delay, where
+    they are delayed already."""
 
     left: Array
     right: Array
@@ -311,13 +317,13 @@ def in_balance(model: Model, q: Vector, v: Vector, drive: Drive) -> Unrolled:
     """The shape q moving steadily at v under a drive: z balances the forces, within |zᵢ| ≤ μ_S/σ₀."""
     n = len(q)
     now = _now(model, Unrolled(q, v, v), drive, jnp.full_like(drive.left, MOMENT_S))
-    now, memory, alpha2, phi = _inputs(model, now, tuple(e.start(now) for e in model.effects))
+    now, memory, alpha2, phi = _inputs(model, now)
     load = _load(model, now._replace(alpha2=alpha2, phi=phi), memory, drive)
     gravity = model.gravity.alpha1 * jnp.sin(sum(q))
     f = model.friction
     free = [((load[i] - gravity - alpha2[i] * q[i]) / phi[i] - f.sigma2 * v[i]) / f.sigma0 for i in range(n)]
     limit = f.mu_s / f.sigma0
-    return begin(model, q, v, tuple(jnp.clip(z, -limit, limit) for z in free), drive)
+    return begin(model, q, v, tuple(jnp.clip(z, -limit, limit) for z in free), drive, memory)
 
 
 def unsensed(model: Model, q: Vector, v: Vector, drive: Drive) -> Vector:
@@ -328,10 +334,14 @@ def unsensed(model: Model, q: Vector, v: Vector, drive: Drive) -> Vector:
     return q
 
 
-def begin(model: Model, q: Vector, v: Vector, z: Vector, drive: Drive) -> Unrolled:
-    """A state from which to start, with what the effects remember at rest."""
+def begin(
+    model: Model, q: Vector, v: Vector, z: Vector, drive: Drive, memory: tuple[Memory, ...] | None = None
+) -> Unrolled:
+    """A state from which to start, with what the effects remember, at rest unless it is told."""
     now = _now(model, Unrolled(q, v, z), drive, jnp.full_like(drive.left, MOMENT_S))
-    sensed, memory = _sense(model, q, now, tuple(e.start(now) for e in model.effects))
+    if memory is None:
+        memory = _inputs(model, now)[1]
+    sensed, memory = _sense(model, q, now, memory, starts=True)
     return Unrolled(q, v, z, memory, sensed)
 
 
@@ -344,6 +354,9 @@ def _now(model: Model, state: Unrolled, drive: Drive, h: Array) -> Now:
             if (delay := effect.delay_s()) is not None:  # to first order, whose value the inputs hold already
                 more = delay - jax.lax.stop_gradient(delay)
                 u = u[0] + more * drive.late[0], u[1] + more * drive.late[1]
+    warm = drive.warm
+    if warm is None:
+        warm = zero if drive.t is None else -SELF_HEATING_K * jnp.expm1(-drive.t / SELF_HEATING_S)
     return Now(
         model,
         zero if drive.t is None else drive.t,
@@ -354,24 +367,34 @@ def _now(model: Model, state: Unrolled, drive: Drive, h: Array) -> Now:
         middle,
         u,
         drive.vacuum,
-        zero if drive.warm is None else drive.warm,
+        warm,
         zero if drive.worn is None else drive.worn,
         *directions(middle),
     )
 
 
-def _inputs(model: Model, now: Now, memory: tuple[Memory, ...]) -> tuple[Now, tuple[Memory, ...], Vector, Vector]:
-    """Tensions and vacuum as they reach the body, α₂ [N·m/rad] and φ [N·m] of each joint."""
+def _inputs(
+    model: Model, now: Now, memory: tuple[Memory, ...] | None = None
+) -> tuple[Now, tuple[Memory, ...], Vector, Vector]:
+    """Tensions and vacuum as they reach the body, α₂ [N·m/rad] and φ [N·m] of each joint; without a memory as effects
+    start, each with what reaches it."""
     n = len(now.q)
-    kept = list(memory)
+    kept = list(memory) if memory is not None else [()] * len(model.effects)
     for k, effect in enumerate(model.effects):
+        if memory is None:
+            kept[k] = effect.start(now)
         u, kept[k] = effect.actuate(kept[k], now.u, now)
         now = now._replace(u=u)
         vacuum, kept[k] = effect.evacuate(kept[k], now.vacuum, now)
         now = now._replace(vacuum=vacuum)
-    alpha2, phi = (energy.alpha2(model, now.vacuum),) * n, (energy.phi(model, now.vacuum),) * n
+    bare = energy.alpha2(model, now.vacuum), energy.phi(model, now.vacuum)
+    alpha2, phi = ((x,) * n for x in bare)
     for effect, own in zip(model.effects, kept, strict=True):
         alpha2, phi = effect.alpha2(own, alpha2, now), effect.phi(own, phi, now)
+    if overrides(model.effects, "alpha2"):
+        alpha2 = tuple(jnp.maximum(x, LEAST * bare[0]) for x in alpha2)
+    if overrides(model.effects, "phi"):
+        phi = tuple(jnp.maximum(x, LEAST * bare[1]) for x in phi)
     return now, tuple(kept), alpha2, phi
 
 
@@ -379,7 +402,7 @@ def settled(model: Model, q: Vector, drive: Drive, after_s: float) -> tuple[Vect
     """α₂ [N·m/rad] and φ [N·m] of each joint, at rest at the shape q, once a drive has been held for so long."""
     still = tuple(jnp.zeros_like(x) for x in q)
     now = _now(model, Unrolled(q, still, still), drive, jnp.full_like(drive.left, after_s))
-    return _inputs(model, now, tuple(e.start(now) for e in model.effects))[2:]
+    return _inputs(model, now)[2:]
 
 
 def _load(model: Model, now: Now, memory: tuple[Memory, ...], drive: Drive) -> Vector:
@@ -394,11 +417,15 @@ def _load(model: Model, now: Now, memory: tuple[Memory, ...], drive: Drive) -> V
     return load
 
 
-def _sense(model: Model, q: Vector, now: Now, memory: tuple[Memory, ...]) -> tuple[Vector | None, tuple[Memory, ...]]:
+def _sense(
+    model: Model, q: Vector, now: Now, memory: tuple[Memory, ...], starts: bool = False
+) -> tuple[Vector | None, tuple[Memory, ...]]:
     if not overrides(model.effects, "sense"):
         return None, memory
     kept = list(memory)
     for k, effect in enumerate(model.effects):
+        if starts and overrides((effect,), "sense"):  # what it has seen so far is what those before it show
+            kept[k] = effect.start(now._replace(q=q))
         q, kept[k] = effect.sense(kept[k], q, now)
     return q, tuple(kept)
 

@@ -235,13 +235,11 @@ class TendonSlack(Effect):
             loose, winds = self._slack(x), x > self.slack_n
             wound = now.h * (1 - loose) * power(x, WOUND_N, jnp.asarray(0.5))
             most, paid = share * self.slack_s, now.h / PAYS_OUT_S * loose * share * self.slack_s
-            some, full = held > wound, held + paid >= most
+            some, loosed = held > wound, jnp.where(held + paid >= most, jnp.maximum(held, most), held + paid)
             taut.append(
                 jnp.where(winds, jnp.where(some, 0.0 * x, x * (1 - held / wound)), x * jnp.exp(-held / FEELS_S))
             )
-            slack.append(
-                jnp.where(winds, jnp.where(some, held - wound, 0.0 * held), jnp.where(full, most, held + paid))
-            )
+            slack.append(jnp.where(winds, jnp.where(some, held - wound, 0.0 * held), loosed))
         passed = zip(taut, self._shares(), plays[:2], strict=True)
         (one, first), (two, second) = (play(x, s * self.width_n, m) for x, s, m in passed)
         net, third = play(one - two, self.net_n, plays[2])
@@ -249,8 +247,14 @@ class TendonSlack(Effect):
         return (one + half, two - half), (first, second, third, *slack)
 
 
-PRESSED_N, PRESSED_RAD = 10.0, 0.1
-"""Tension and bend at which a lining rubs the same by any power of what presses it."""
+PRESSED_N, PRESSED_RAD, MOST = 10.0, 0.1, 3.0
+"""Tension and bend at which a lining rubs the same by any power of what presses it; and the largest exponent, which
+soft linings have at small tensions."""
+
+
+def _gained(exponent: jax.Array) -> jax.Array:
+    """What rubbing adds to a tension, as a share of it."""
+    return jnp.expm1(jnp.minimum(exponent, MOST))
 
 
 class TendonFriction(Effect):
@@ -288,7 +292,7 @@ class TendonFriction(Effect):
             wrapped = jnp.abs(q) * power(q, PRESSED_RAD, self.power - 1) * place
             left = left + slid * (self.guide + (self.mu + self.mu_difference) * wrapped * soft[0])
             right = right + slid * (self.guide + (self.mu - self.mu_difference) * wrapped * soft[1])
-            lost = now.u[0] * jnp.expm1(-left) - now.u[1] * jnp.expm1(right) - self.drag_n * way
+            lost = now.u[0] * _gained(-left) - now.u[1] * _gained(right) - self.drag_n * way
             out.append(load[i] + arm(now) * lost)
         return tuple(out)
 

@@ -31,7 +31,7 @@ from ljjax.effect import Effect, Memory, Now, Vector, variation
 LOAD_N, VACUUM_KPA, BEND_RAD, RATE_RAD_S, WARMTH_K, SENSE_RAD2_S = 10.0, 15.0, 0.4, 0.5, 2.0, 0.005
 """Where what an effect varies with is halfway."""
 WAYS = {
-    "by_load": f"T/(T + {LOAD_N:g} N), T both tensions together; twice its own, for what acts on a tendon by itself",
+    "by_load": f"T/(T + {LOAD_N:g} N), T both tensions together; its own, for what acts on a tendon by itself",
     "by_vacuum": f"P/(P + {VACUUM_KPA:g} kPa)",
     "by_bend": f"q²/(q² + ({BEND_RAD:g} rad)²), q of the mean joint",
     "by_rate": f"v²/(v² + ({RATE_RAD_S:g} rad/s)²), v of the mean joint",
@@ -53,7 +53,7 @@ BRIEFLY = 0.01
 AT_THE_SENSOR = ("by_bend", "by_rate", "by_warmth")
 """The ways in which an effect of sensing may vary: a camera sees the body, not its load nor its vacuum."""
 LEAST = 0.02
-"""The share of a stiffness or friction that a varying effect leaves at least."""
+"""The share of a slip that a varying effect leaves at least."""
 
 
 class _Varying(Effect):
@@ -66,7 +66,7 @@ class _Varying(Effect):
 
     def _amount(self, memory: Memory, now: Now, load: Array) -> Array:
         """m of a step under a load [N]; in memory the slip that `_begun` goes by [rad], if it does."""
-        n = len(now.q)
+        n, load = len(now.q), jnp.maximum(load, 0.0)
         bend, rate = sum(now.q) / n, sum(now.v) / n
         turn = bend * rate
         share = (
@@ -118,9 +118,13 @@ def varying(kind: type[Effect], until: tuple[float, ...] | None = None) -> type[
     has = {name for name in vars(Effect) if getattr(kind, name) is not getattr(Effect, name)}
 
     def at(self: Any, m: Array) -> Effect:
-        """The effect of a step."""
-        sizes = kind.sizes()
-        return kind(**{n: getattr(self, n) * m if n in sizes else getattr(self, n) for n in kind.fields()})
+        """The effect of a step; sizes that have but one sign keep it where a run has the other."""
+        values = {n: getattr(self, n) for n in kind.fields()}
+        for n in kind.sizes():
+            null, low = kind.fields()[n]["null"], kind.fields()[n]["low"]
+            moved = null + m * (values[n] - null) if null else m * values[n]
+            values[n] = jnp.maximum(moved, null) if until is not None and low >= null else moved
+        return kind(**values)
 
     def first(self: Any, now: Now) -> tuple[Array, Memory]:
         """m at a run's start, and the slip to remember."""
@@ -146,10 +150,13 @@ def varying(kind: type[Effect], until: tuple[float, ...] | None = None) -> type[
 
     def scaled(name: str) -> Callable:
         def hook(self: Any, memory: Memory, x: Vector, now: Now) -> Vector:
-            new = getattr(at(self, memory[1]), name)(memory[0], x, now)
-            return tuple(jnp.maximum(b, LEAST * a) for a, b in zip(x, new, strict=True))
+            return getattr(at(self, memory[1]), name)(memory[0], x, now)
 
         return hook
+
+    def slip(self: Any, memory: Memory, slip: Vector, now: Now) -> Vector:
+        new = at(self, memory[1]).slip(memory[0], slip, now)
+        return tuple(jnp.maximum(b, LEAST * a) for a, b in zip(slip, new, strict=True))
 
     def inertia(self: Any, memory: Memory, m: tuple[Vector, ...], now: Now) -> tuple[Vector, ...]:
         return at(self, memory[1]).inertia(memory[0], m, now)
@@ -176,7 +183,7 @@ def varying(kind: type[Effect], until: tuple[float, ...] | None = None) -> type[
         return at(self, first(self, now)[0]).unsense(y, now)
 
     own = {"evacuate": evacuate, "load": load, "torque": torque, "remember": remember, "sense": sense}
-    own |= {"unsense": unsense, "inertia": inertia, **{name: scaled(name) for name in ("alpha2", "phi", "slip")}}
+    own |= {"unsense": unsense, "inertia": inertia, "slip": slip, "alpha2": scaled("alpha2"), "phi": scaled("phi")}
     hooks = {"start": start, "actuate": actuate, **{name: hook for name, hook in own.items() if name in has}}
     hooks |= {"remember": remember} if base is _Sudden else {}
     said = {"__module__": kind.__module__, "__doc__": kind.__doc__}

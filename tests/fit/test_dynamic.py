@@ -23,6 +23,7 @@ from ljjax.fit.folds import conditions, left_out
 from ljjax.fit.moving import DynamicResult, profile_interval
 from ljjax.fit.pooling import pool
 from ljjax.fit.problem import ROUNDS
+from ljjax.fit.run import prepared
 from ljjax.fit.shooting import together
 from ljjax.inputs import Inputs
 from ljjax.logs import Run, Signal, Writer
@@ -276,6 +277,10 @@ def test_priors_and_bounds_of_the_file_hold():
     assert bounded.parameters["elastic.c3"].verdict == "at bound"
     assert bounded.parameters["elastic.c3"].value == pytest.approx(1.3)
     assert any("elastic.c3 is at its bound" in w for w in bounded.warnings)
+    again = float(get(bounded.model, "elastic.c3"))  # as a file holds it, from which one may go on
+    assert 0.5 <= again <= 1.3 + 1e-8
+    reached = dataclasses.replace(start, model=bounded.model, bounds={"elastic.c3": (0.5, 1.3)})
+    assert prepared(reached, "again", runs, (), start.frozen, "commands")
     with pytest.raises(InputError, match=r"fit.bounds.elastic.c3 = \[2, 3\] does not hold the starting value"):
         fit(dataclasses.replace(start, bounds={"elastic.c3": (2.0, 3.0)}), runs)
 
@@ -385,3 +390,13 @@ def test_the_command_fits_robots_in_folders_and_leaves_out_what_is_broken(found,
     assert not (out / "r3").exists()
     for name in ("model.toml", "report.html", "result.mcap"):
         assert (out / "r1" / name).stat().st_size > 0
+
+
+def test_what_runs_inherit_from_those_before_them_is_theirs_in_a_fit_too():
+    """Of logs in any order: the later run is worn and warm already; its number is that of the log given."""
+    runs = [dataclasses.replace(logged(robot(), s), t0_ns=(10 - s) * 10**11) for s in range(2)]
+    case: Any = prepared(guess(robot()), "m", runs, (), (), "commands")
+    first, second = case.problem.motions
+    assert [m.run for m in (first, second)] == [runs[1], runs[0]] and case.moving == [1, 0]
+    assert first.worn[0] == 0.0 and second.worn[0] == first.worn[-1] > 0.1
+    assert second.warm[0] > 0 and first.warm[0] == 0.0

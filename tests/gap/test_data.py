@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
+from ljjax.fit.session import in_order
 from ljjax.fit.windows import Motion
-from ljjax.gap.data import in_order
+from ljjax.gap.data import unseen
 
 
 def run(start_s: float, seconds: float, start_utc: str = "", **signals: Any) -> Motion:
@@ -43,6 +45,10 @@ def test_a_temperature_that_is_logged_counts_from_the_first_run_on():
     first, second = in_order([run(0.0, 60.0, temperature=warmed(0.0)), run(90.0, 60.0, temperature=warmed(3.0))])
     np.testing.assert_allclose([first.warm[-1], second.warm[0]], [1.0, 3.0])
     np.testing.assert_allclose([second.worn[0], second.worn[-1]], [0.5, 1.0], atol=0.01)  # slip carries over too
+    dark = in_order(
+        [run(0.0, 60.0, temperature=warmed(0.0)), run(90.0, 60.0), run(180.0, 60.0, temperature=warmed(3.0))]
+    )
+    np.testing.assert_allclose(dark[1].warm[[0, -1]], [1.5, 2.5])  # between its neighbours where it is not logged
 
 
 def test_runs_are_in_the_order_in_which_they_were_made_whatever_clock_stamps_them():
@@ -51,3 +57,13 @@ def test_runs_are_in_the_order_in_which_they_were_made_whatever_clock_stamps_the
     ordered = in_order([later, first])
     assert [m.run.path for m in ordered] == [first.run.path, later.run.path]
     np.testing.assert_allclose(ordered[1].warm[0], ordered[0].warm[-1] * np.exp(-300 / 600), rtol=1e-9)
+
+
+def test_runs_kept_unseen_do_not_cover_one_another():
+    """Two of eight are at the highest pressure, where one is told from the other only while one is fitted."""
+    levels = [0.0, 10.0, 40.0, 20.0, 0.0, 10.0, 40.0, 20.0]
+    runs = [dataclasses.replace(run(k, 15.0), vacuum=np.array([0.0, p])) for k, p in enumerate(levels)]
+    kept = unseen(runs)
+    assert len(kept) == 2 and 40.0 in {p for k, p in enumerate(levels) if k not in kept}
+    alone = [dataclasses.replace(r, vacuum=np.minimum(r.vacuum, 40.0 if k == 2 else 30.0)) for k, r in enumerate(runs)]
+    assert 2 not in unseen(alone)

@@ -212,6 +212,7 @@ def test_bad_input_is_refused_by_name(tmp_path, capsys):
         ([run, other, *given], "cannot tell from 2 moving runs: a diagnosis needs three or more"),
         ([run, *given, "--held-out", other], "1 moving run beside those of --held-out: a diagnosis fits two or more"),
         ([run, *given, "--without", "gremlins"], "--without gremlins: no such effect"),
+        ([str(folder / "train"), *given, "--without", *REGISTRY], "--without leaves no effect to try"),
         ([run, *given, "--effects", str(tmp_path / "own.py")], "own.py: no such file"),
     ):
         assert main(["gap", *args]) == 2

@@ -12,9 +12,10 @@ import pytest
 from ljjax.effects.structure import BaseTilt, Contact
 from ljjax.effects.varying import by_run, varying
 from ljjax.fit.run import prepared
+from ljjax.fit.session import in_order
 from ljjax.gap.answer import _left_over
 from ljjax.gap.candidates import Trial
-from ljjax.gap.data import in_order, span
+from ljjax.gap.data import span
 from ljjax.gap.inquiry import Inquiry, began, fell_behind, unfixed
 from ljjax.gap.search import Study
 from ljjax.gap.selection import Selection

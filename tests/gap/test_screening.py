@@ -114,8 +114,9 @@ def test_measured_tensions_tell_of_commands_read_at_a_beat():
     value = held + 0.01 * np.random.default_rng(1).standard_normal(held.shape)
     run = SimpleNamespace(signals={"tendons": SimpleNamespace(t=t, value=value)})
     given = {"t": t, "y": np.zeros((len(t), 1)), "input_t": t, "tendons": command, "vacuum": 0.0 * t, "hold": False}
+    given |= {"warm": 0.0 * t, "worn": 0.0 * t}
     motion: Any = SimpleNamespace(run=run, source="commands", q0=np.zeros(2), **given)
-    (tension,) = look([motion], [REGISTRY["actuator_delay"], REGISTRY["actuator_lag"]]).channels
+    (tension,) = look([motion], [REGISTRY["actuator_delay"], REGISTRY["actuator_lag"]], robot(2)).channels
     assert tension.best == "actuator_delay" and tension.left["actuator_lag"] > 0.15
     assert tension.left["actuator_delay"] < 0.5 * tension.left["actuator_lag"]
     assert tension.values["actuator_delay"]["reset_s"] == pytest.approx(beat, rel=0.01)
@@ -132,8 +133,9 @@ def test_a_tension_stamped_as_its_command_changes_may_be_the_one_before(late_s, 
     value = value + 0.02 * np.random.default_rng(1).standard_normal(value.shape)
     run = SimpleNamespace(signals={"tendons": SimpleNamespace(t=stamps, value=value)})
     given = {"t": t, "y": np.zeros((len(t), 1)), "input_t": t, "tendons": command, "vacuum": 0.0 * t, "hold": True}
+    given |= {"warm": 0.0 * t, "worn": 0.0 * t}
     motion: Any = SimpleNamespace(run=run, source="commands", q0=np.zeros(2), **given)
-    (tension,) = look([motion], [REGISTRY["actuator_lag"]]).channels
+    (tension,) = look([motion], [REGISTRY["actuator_lag"]], robot(2)).channels
     assert tension.rms > 2 * tension.noise
     assert tension.speaks == speaks
 

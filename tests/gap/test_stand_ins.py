@@ -13,8 +13,9 @@ import pytest
 from ljjax.effect import Effect
 from ljjax.effects.jamming import PressureLag
 from ljjax.fit.run import prepared
+from ljjax.fit.session import in_order
 from ljjax.gap.answer import _pointed
-from ljjax.gap.data import in_order, span
+from ljjax.gap.data import span
 from ljjax.gap.judge import Evidence
 from ljjax.gap.search import Refit, Study
 from ljjax.gap.stand_ins import BLOCKS, PLACES, QUICK, STAND_INS, stand_in

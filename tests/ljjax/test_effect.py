@@ -177,6 +177,7 @@ def test_what_is_seen_may_differ_from_what_is(robot):
     np.testing.assert_allclose(seen.seen, plain.q + 0.1, atol=1e-12)
     late = run(having(model, Late(number(0.02))), drive())
     np.testing.assert_allclose(late.seen[1:], plain.q[:-1], atol=1e-12)
+    np.testing.assert_allclose(late.seen[0], plain.q[0], atol=1e-12)  # of before the run there is nothing to see
     np.testing.assert_array_equal(plain.seen, plain.q)
 
 

@@ -203,6 +203,32 @@ def test_cogging_pulls_a_slack_tendon_but_never_pushes():
         assert pulled(tension) == pytest.approx(max(tension - 1.0, 0.0), abs=2e-3)
 
 
+def test_a_soft_lining_rubs_no_more_than_so_much_at_small_tensions():
+    """e³ at most: (0.1/10)^(0.3 − 1) makes an exponent of 20 of six joints' bends of 0.3 rad."""
+    rubs: Any = REGISTRY["tendon_friction"](**{"mu": 1.0, "power": 0.3})
+    one, rest = jnp.asarray(1.0), jnp.asarray(0.3)
+    for u in (0.1, 0.0):
+        now: Any = SimpleNamespace(middle=(rest,) * 6, q=(rest,) * 6, u=(jnp.zeros(()), jnp.asarray(u)), model=None)
+        now.model = SimpleNamespace(lever=None, chain=SimpleNamespace(lever_arm_m=jnp.asarray(0.02)))
+        felt = np.asarray(rubs.load((one,) * 6, (jnp.zeros(()),) * 6, now))
+        np.testing.assert_allclose(felt, -0.02 * u * np.expm1(3.0), rtol=1e-4)
+
+
+def test_cable_let_go_below_the_tension_of_slack_is_not_lost():
+    """f = 0.2 s/rad: 0.1 rad of bending to its side at 9 N of T_s = 10 N is still to be wound up at 20 N."""
+    slack: Any = REGISTRY["tendon_slack"](**{"freed": 0.2, "slack_n": 10.0})
+    h, zero = jnp.asarray(0.01), jnp.zeros(())
+    now: Any = SimpleNamespace(u=(jnp.asarray(9.0), zero), v=(jnp.asarray(1.0),), h=h)
+    memory = slack.start(now)
+    for _ in range(10):
+        _, memory = slack.actuate(memory, now.u, now)
+    held = float(memory[3])
+    assert held > 0.005
+    now.v, now.u = (zero,), (jnp.asarray(20.0), zero)
+    (left, _), memory = slack.actuate(memory, now.u, now)
+    assert float(left) < 20.0 and float(memory[3]) < held
+
+
 def test_a_wheel_off_its_centre_ripples_more_on_one_side_of_its_turn():
     """Of 8 teeth, E = 1 + e sin(w φ/8) at the crests of the left tendon's wave, a cosine of its own at the right's."""
     ripple: Any = REGISTRY["actuator_ripple"]

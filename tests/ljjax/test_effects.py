@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ljjax import effects, modelfile
+from ljjax import effects, modelfile, step
 from ljjax.effects import BLOCKS, REGISTRY, build
 from ljjax.effects.varying import WAYS, onsets, varies, varying, ways
 from ljjax.errors import InputError
@@ -32,8 +32,6 @@ IDS = {
     "friction": "friction_asymmetry load_dependent_friction thermal_drift",
     "sensing": "sensor_bias sensor_scale sensor_delay sensor_filter",
 }
-WARMING = ("thermal_drift",)
-"""Seen only where the temperature rises, which a plain simulation is not told."""
 
 
 def moved(model, paths: list[str]):
@@ -74,7 +72,7 @@ SIZES = [
     f"effects.{kind.id}.{name}"
     for kind in REGISTRY.values()
     for name in kind.sizes()
-    if kind.id not in WARMING and name not in ("mode3", "mode4", "mode5")  # those want more joints than three
+    if name not in ("mode3", "mode4", "mode5")  # those want more joints than three
 ]
 
 
@@ -122,7 +120,7 @@ def sensed_late(robot):
 def test_a_run_starts_where_its_log_does_whatever_the_sensor_adds(robot):
     model = sensed_late(robot)
     logged = jnp.array([0.05, 0.02, -0.01])
-    start = rest(model, drive(), unsensed_at_rest(model, logged))
+    start = rest(model, drive(), unsensed_at_rest(model, drive(), logged))
     np.testing.assert_allclose(simulate(model, drive(), initial=start).seen[0], logged, atol=1e-12)
 
 
@@ -248,6 +246,10 @@ def test_a_robot_may_cool():
     kind: Any = varying(REGISTRY["base_tilt"])
     zero = jnp.zeros(())
     still: Any = SimpleNamespace(q=(zero,), v=(zero,), vacuum=zero)
+    still.warm = zero
+    assert (
+        float(kind(by_load=5.0)._amount((zero,), still, jnp.asarray(-10.0))) == 1.0
+    )  # a drive that overshoots below 0
     for warm, expected in ((2.0, 1.5), (-2.0, 0.5), (-1e6, 0.0)):
         still.warm = jnp.asarray(warm)
         np.testing.assert_allclose(kind(by_warmth=1.0)._amount((zero,), still, zero), expected, atol=1e-5)
@@ -283,6 +285,47 @@ def test_an_effect_may_be_another_in_each_run(tmp_path, robot):
         before = unsensed(model, y, v, Drive(*jnp.zeros(3), worn=jnp.asarray(worn)))
         np.testing.assert_allclose(before, 0.1 - bias, atol=1e-9)
     np.testing.assert_allclose(seen(model, drive()) - seen(robot(3), drive()), 0.01, atol=1e-9)
+
+
+def test_in_no_run_is_an_effect_of_one_sign_another_way_round(robot):
+    """A payload that is put on in the first run is taken off in the second, not hung from a balloon."""
+    given = {"mass_kg": 0.1, "in_run2": -3.0, "until1_rad": 0.2}
+    made = build("tip_payload", given)
+    model = dataclasses.replace(robot(3), effects=(made,))
+    still = (jnp.zeros(()),) * 3
+    bare = ((jnp.ones(()),) * 3,) * 3
+    for worn, heavier in ((0.0, True), (1.0, False)):
+        drive_ = Drive(*jnp.zeros(3), worn=jnp.asarray(worn))
+        now = step._now(model, step.Unrolled(still, still, still), drive_, jnp.asarray(1e-3))
+        m = made.inertia(made.start(now), bare, now)
+        assert (float(m[0][0]) > 1.0) == heavier and float(m[0][0]) >= 1.0
+
+
+def test_a_run_of_a_log_begins_where_its_camera_says_however_its_marker_comes_to_slip(robot):
+    later = build("sensor_bias", {"offset_rad": 0.1, "by_onset": 1.0, "onset_rad": 10.0})
+    model = dataclasses.replace(robot(3), effects=(later,))
+    np.testing.assert_allclose(unsensed_at_rest(model, drive(), jnp.full(3, 0.2)), 0.2, atol=1e-9)
+
+
+def test_what_an_effect_remembers_at_the_start_is_what_reaches_it(robot):
+    """A lag behind a wrong gain rests at the tension that the gain makes, and a late stamp sees the biased shape."""
+    gain, lag = build("actuator_gain", {"error": 0.5}), build("actuator_lag", {"tau_s": 0.3})
+    at = Drive(jnp.asarray(10.0), jnp.asarray(0.0), jnp.asarray(0.0), t=jnp.asarray(0.0))
+    still, shape = (jnp.zeros(()),) * 3, (jnp.asarray(0.1),) * 3
+    begun = step.begin(dataclasses.replace(robot(3), effects=(gain, lag)), shape, still, still, at)
+    assert float(begun.memory[1][0]) == pytest.approx(15.0)
+    bias = build("sensor_bias", {"offset_rad": 0.01})
+    late = build("sensor_delay", {"delay_seconds": 0.03, "drift": 1.0, "phase": 0.3})
+    seen_first = step.begin(dataclasses.replace(robot(3), effects=(bias, late)), shape, still, still, at).sensed
+    np.testing.assert_allclose(np.asarray(seen_first), 0.11, atol=1e-9)
+
+
+def test_no_effect_makes_a_friction_or_a_stiffness_that_drives(robot):
+    warm = build("thermal_drift", {"friction_per_k": -0.2, "stiffness_per_k": -2.0})
+    model = dataclasses.replace(robot(3), effects=(warm,))
+    at = Drive(*jnp.zeros(3), warm=jnp.asarray(10.0))
+    made, bare = (step.settled(m, (jnp.zeros(()),) * 3, at, 1.0) for m in (model, robot(3)))
+    np.testing.assert_allclose(np.asarray(made), 0.02 * np.asarray(bare), rtol=1e-6)
 
 
 def test_the_moment_at_which_an_effect_begins_has_the_right_derivative(robot):
