@@ -12,7 +12,7 @@ import pytest
 from ljjax.effects import REGISTRY
 from ljjax.effects.varying import WAYS, varies, varying
 from ljjax.gap.candidates import Trial, either_side, pilots, sizes
-from ljjax.gap.channels import Channel, Fitted, Measured, look
+from ljjax.gap.channels import Channel, Fitted, Measured, _Inputs, look
 from ljjax.gap.screening import Column, Screen, clock, waves
 from ljjax.gap.search import FIRST, Study, _best, needed, units
 from ljjax.gap.variation import Variation
@@ -121,6 +121,24 @@ def test_measured_tensions_tell_of_commands_read_at_a_beat():
     assert tension.left["actuator_delay"] < 0.5 * tension.left["actuator_lag"]
     assert tension.values["actuator_delay"]["reset_s"] == pytest.approx(beat, rel=0.01)
     assert tension.values["actuator_delay"]["delay_seconds"] == pytest.approx(beat / 2, rel=0.1)
+
+
+def test_a_measured_line_hears_a_bias_that_begins_with_the_wear():
+    """Of 5 kPa from 0.3 rad of the mean joint's way on: the channel follows the slip of the measured shape."""
+    t = np.arange(0.0, 6.0, 0.01)
+    way = 0.2 * np.abs((t / 1.5 + 1) % 2 - 1)
+    line = SimpleNamespace(t=t, value=np.full((len(t), 1), 20.0))
+    run = SimpleNamespace(signals={"pressure": line}, vacuum_kpa=lambda name: line)
+    given = {"t": t, "y": way[:, None], "input_t": t, "tendons": np.zeros((len(t), 2)), "vacuum": 20.0 + 0.0 * t}
+    given |= {"warm": 0.0 * t, "worn": 0.0 * t, "hold": False}
+    motion: Any = SimpleNamespace(run=run, source="commands", q0=np.zeros(2), **given)
+    kind = varying(REGISTRY["pressure_bias"])
+    values = {n: float(a["null"]) for n, a in kind.fields().items()}
+    values |= {"offset_kpa": 5.0, "by_onset": 1.0, "onset_rad": 0.3, "over_rad": 1e-3}
+    error = _Inputs([motion], "pressure", robot(2)).error(kind, np.array([list(values.values())]))[0]
+    slip = np.cumsum(np.abs(np.diff(way, prepend=way[0])))
+    np.testing.assert_allclose(error[slip < 0.28], 0.0, atol=1e-6)
+    np.testing.assert_allclose(error[slip > 0.32], 5.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("late_s, speaks", [(0.0, False), (0.01, True)])
