@@ -20,6 +20,7 @@ from benchmarks.recovery.robots import draw
 from benchmarks.recovery.study import model_of
 from ljjax import fast
 from ljjax.cli import start_jax
+from ljjax.effect import Effect
 from ljjax.effects import BLOCKS, REGISTRY
 from ljjax.effects.varying import ONSET, WAYS, varying
 from ljjax.fit.run import prepared
@@ -39,6 +40,10 @@ from ljjax.simulation import rest
 DOCS = Path(__file__).parents[1] / "docs"
 SECONDS, STEP_S = 8.0, 0.005
 ALIKE = 0.95
+HOOKS = (
+    *("start", "delay_s", "actuate", "evacuate", "alpha2", "phi", "slip", "inertia", "load", "torque", "remember"),
+    *("sense", "unsense", "latency_s"),
+)
 SHOWN = {
     "actuator_saturation.limit_n": 12.0, "actuator_deadband.band_n": 3.0, "contact.angle_rad": 0.06,
     "actuator_ripple.waves": 25.0,
@@ -187,8 +192,28 @@ def page(found: Screen) -> str:
         "",
         "Or it may be another in each run: m is also times 1 + cᵣ, `in_run1`, `in_run2` …, each from the slip at the",
         "start of its run up to `until1_rad`, `until2_rad` …",
+        "",
+        "## An effect of your own",
+        "",
+        "A subclass of `ljjax.effect.Effect` in a file that `--effects` names ([example](../examples/own_effect.py)),",
+        "with an id, a block, sizes by `parameter(unit, null, low, high, scale)` and forms by `shape(…)`. What it does",
+        "it does in hooks, in this order in a step; those that it lacks do nothing. They are arithmetic by `jax.numpy`",
+        "on scalars, one a joint, with `jnp.where` in place of `if`.",
+        "",
+        "| hook | |",
+        "|---|---|",
+        *(f"| `{name}` | {_hook(name)} |" for name in HOOKS),
+        "",
+        "It must do nothing at the nulls of its sizes, and have a finite derivative there (not √a at a = 0). What",
+        "`load` adds is frozen over a step of up to 10 ms: a stiff spring or a damper belongs into `torque`, which is",
+        "solved for together with the joint's rate. Sizes named `mode1`, `mode2` … are shapes along the body, and not",
+        "on trial where too few joints are logged to tell them.",
     ]
     return "\n".join(out) + "\n"
+
+
+def _hook(name: str) -> str:
+    return " ".join((getattr(Effect, name).__doc__ or "").split()).replace("|", "\\|")
 
 
 def _parameter(name: str, about: Mapping[str, Any]) -> str:

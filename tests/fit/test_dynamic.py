@@ -258,7 +258,7 @@ def test_a_folder_of_three_logs_delivers_and_says_what_was_left_out(found):
     )
     result = fit(guess(robot()), [cut_short, still, logged(robot(), 0)])
     assert isinstance(result, DynamicResult)
-    assert [r.run_id for r in result.run_errors] == ["r1-1", "r1-0"]
+    assert [r.run_id for r in result.run_errors] == ["r1-0", "r1-1"]  # by their start
     assert any("r1-2.mcap: no excitation" in w for w in result.warnings)
     assert result.parameters["elastic.c3"].value == pytest.approx(1.5, rel=0.02)
 

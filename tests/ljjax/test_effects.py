@@ -60,12 +60,14 @@ def everything(robot):
 
 
 def sized(path: str, model) -> dict[str, float]:
-    """The parameter at twice its typical size; forms where they act on this motion."""
+    """The parameter at twice its typical size; forms where they act on this motion, which warms by hundredths of a
+    kelvin."""
     _, effect, name = path.split(".")
+    many = 100.0 if effect == "thermal_drift" else 1.93
     forms = {"actuator_saturation.limit_n": 8.0, "contact.angle_rad": 0.05}
     about = REGISTRY[effect].fields()[name]
     values = {f"effects.{k}": v for k, v in forms.items() if k.startswith(effect + ".")}
-    return {**values, path: about["null"] + 1.93 * about["scale"]}
+    return {**values, path: about["null"] + many * about["scale"]}
 
 
 SIZES = [
