@@ -9,6 +9,7 @@ import numpy as np
 
 from ljjax import effects
 from ljjax.effects.varying import by_run
+from ljjax.errors import InputError
 from ljjax.fit.points import beware_of
 from ljjax.fit.problem import Estimate
 from ljjax.fit.result import NOMINAL
@@ -32,10 +33,16 @@ SEES = 0.8
 
 
 def answer(inquiry: Inquiry) -> Diagnosis:
-    """What a inquiry found, with all that is reported of it."""
+    """What an inquiry found, with all that is reported of it."""
     setting, study, base, chosen = inquiry.setting, inquiry.setting.study, inquiry.base, inquiry.chosen
     refits = [base, chosen] if chosen is not base else [base]
     seen = study.predict([*refits, inquiry.given], setting.test)
+    for i, m in enumerate(setting.test):
+        if not all(np.isfinite(e.predicted[e.windows.sample_run == i]).all() for e in seen[:-1]):
+            raise InputError(
+                f"{m.run.path}: kept unseen, and the fitted model's motion under its commands is not finite; leave it "
+                "out, or give runs to fit that come nearer to it"
+            )
     rivals, gap = _rivals(inquiry, chosen), _gap(inquiry, chosen, seen)
     return Diagnosis(
         verdict=inquiry.verdict,
