@@ -10,7 +10,7 @@ import numpy as np
 
 from ljjax.effect import Effect
 from ljjax.gap import judge, screening
-from ljjax.gap.candidates import CAUTIOUS, Trial, cautious, either_side
+from ljjax.gap.candidates import CAUTIOUS, Trial, cautious, either_side, path
 from ljjax.gap.channels import Measured
 from ljjax.gap.screening import Screen, ahead
 from ljjax.gap.search import Refit, Study
@@ -30,6 +30,8 @@ WELL, ANEW = 0.05, 3
 """Where the best leaves more than this share of the gap, how many of them are begun at the given model once more."""
 HEARD = 3
 """How many effects that measured inputs show are begun as they show there."""
+ALIKE = 0.005
+"""The share of the gap, left by a leader, from which it is begun with other parameters that do much the same."""
 ASTRAY, LOST = 0.98, 8
 """A candidate that leaves more than this share of the base's loss has found nothing, or not its way; how many of those
 are begun once more."""
@@ -135,6 +137,7 @@ class Selection:
         least = min((r.total for r in found), default=np.inf)
         found += self._around(screen, begun, max(NEAR * least, self.floor + NEARER * self.excess))
         found += self._with_care(trials, found)
+        found += self._likewise(found)
         if self._least(found) > WELL:
             best: dict[tuple[str, ...], Refit] = {}
             for r in sorted(found, key=lambda r: r.total):
@@ -144,6 +147,18 @@ class Selection:
                 rest = [t for i in screen.ids if i not in begun for t in self._trials_around(screen, i)]
                 found += self._on_few(rest, found, "from the given model", finish=6)
         return found
+
+    def _likewise(self, found: Sequence[Refit]) -> list[Refit]:
+        """The leaders begun once more with other parameters that do much the same, if they have any."""
+        kinds, out, best = {k.id: k for k in self.study.kinds}, list[Refit](), dict[str, Refit]()
+        for r in sorted(found, key=lambda r: r.total):
+            best.setdefault(r.ids[0], r)
+        for i, r in list(best.items())[:CLOSE]:
+            values = {p.split(".")[2]: x for p, x in r.free_effects.items()}
+            others = kinds[i].likewise(values) if self.own_left(r) > ALIKE else []
+            trials = [Trial(r.ids, {path(kinds[i], n): x for n, x in other.items()}) for other in others]
+            out += self.study.refit(r.model, trials, None, stage="likewise") if trials else []
+        return out
 
     def _least(self, refits: Sequence[Refit]) -> float:
         return min((self.own_left(r) for r in refits), default=1.0)
@@ -227,7 +242,7 @@ class Selection:
         if not left:
             raise FloatingPointError("no candidate simulates on these runs")
         if self.excess > judge.OPEN * self.floor:
-            Variation(self.study, self.base, self.screen, self.left).let(left)
+            Variation(self.study, self.base, self.screen, self.left, self.gap).let(left)
         found = Found(left, {}, min(left.values(), key=self.left))
         unit = self.unit_of(found.best)
         matters = self.excess > judge.MATTERS * self.floor  # else none is named, whatever several would explain

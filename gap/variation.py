@@ -25,6 +25,9 @@ than so many times as much, nor nearly all of it; and the share of what each lef
 SOME = 0.1
 """The share of what an effect that is another in each run does in the most telling one that it begins with at least, as
 it may have no slope where there is none of it."""
+MOUNTED = 0.5
+"""The share, of what the best leaves, that an effect must promise to leave at most where it is another in each run, to
+be tried so though the best explains the gap."""
 ONSETS = 24
 """How many moments of the session a sudden effect is tried to begin at, where nothing explains the gap."""
 
@@ -37,12 +40,14 @@ class Variation:
         study: whose kinds come to be those that vary, where these are better.
         base, screen: refitted without an effect, and what is promised on top of it.
         left: the share of the gap that a refit leaves.
+        gap: the loss that such shares are of.
     """
 
     study: Study
     base: Refit
     screen: Screen
     left: Callable[[Refit], float]
+    gap: float
 
     def let(self, single: dict[str, Refit]) -> None:
         """The best effects once more, free to vary in strength with what acts on them, where they leave much: a true
@@ -71,8 +76,9 @@ class Variation:
                 lambda kind: [{way: much} for way, much in PILOTS if way in ways(kind)],
                 "others that vary",
             )
-        if self._unexplained(single):
-            self._by_run(single)
+        unexplained, least = self._unexplained(single), min(map(self.left, single.values()))
+        if unexplained or least > VARIED:
+            self._by_run(single, np.inf if unexplained else MOUNTED * least)
 
     def _left_out(self, refit: Refit) -> float:
         """The loss of a refit where each condition is left out, to first order."""
@@ -109,15 +115,16 @@ class Variation:
         found += free.refit(self.study.start, around, None, stage=f"{stage}, from the given model", finish=VARYING)
         self._keep(single, found, kinds, stage)
 
-    def _by_run(self, single: dict[str, Refit]) -> None:
-        """Effects that promise most where they are others in each run: of each size by the run in which it is largest,
-        in the others as much of it as goes along with that."""
+    def _by_run(self, single: dict[str, Refit], within: float) -> None:
+        """Effects that promise most where they are others in each run, and to leave less than such a share of the gap:
+        of each size by the run in which it is largest, in the others as much of it as goes along with that."""
         starts = [float(m.worn[0]) for m in self.study.motions]
         until = tuple((a + b) / 2 for a, b in itertools.pairwise(starts))
         kinds, runs = self._sudden(until), range(len(starts))
         alone = [{EACH.format(r + 1): float(k == r) - 1 for r in runs} for k in runs]
         screen = self._screened(kinds, lambda kind: alone)
         gain = {i: sum(screen.gains[i, k] for k in runs) for i in kinds}
+        gain = {i: x for i, x in gain.items() if 1 - x / self.gap < within}
         trials = []
         for i in sorted(gain, key=lambda i: -gain[i])[:VARYING]:
             step = np.array([list(screen.steps[i, k].values()) for k in runs])
@@ -128,6 +135,8 @@ class Variation:
             shares = {path(kinds[i], EACH.format(k + 1)): float(along[k]) - 1 for k in runs if k != most}
             forms = {path(kinds[i], n): x for n, x in self.screen.forms[self.screen.best(i)].items()}
             trials.append(Trial((i,), {**sizes, **shares, **forms}))
+        if not trials:
+            return
         free = self._free(kinds)
         stage = "effects that change from run to run"
         found = free.refit(self.base.model, trials, None, stage=stage, finish=VARYING)

@@ -167,6 +167,12 @@ class Effect(eqx.Module):
         """The joint angles that are logged [rad], from those that are, at the end of a step (`now` its beginning)."""
         return y, memory
 
+    @classmethod
+    def likewise(cls, values: dict[str, float]) -> list[dict[str, float]]:
+        """Other parameters that do much the same, to which a search does not find its way from these: waves an octave
+        up, say."""
+        return []
+
     def unsense(self, y: Vector, now: Now | None = None) -> Vector:
         """The joint angles that are [rad], from those that are logged at rest, where a run starts from its log; `now`
         has the logged ones for the state, if the inputs are known."""

@@ -387,15 +387,19 @@ def _inputs(
         now = now._replace(u=u)
         vacuum, kept[k] = effect.evacuate(kept[k], now.vacuum, now)
         now = now._replace(vacuum=vacuum)
-    bare = energy.alpha2(model, now.vacuum), energy.phi(model, now.vacuum)
-    alpha2, phi = ((x,) * n for x in bare)
+    alpha2, phi = (energy.alpha2(model, now.vacuum),) * n, (energy.phi(model, now.vacuum),) * n
     for effect, own in zip(model.effects, kept, strict=True):
         alpha2, phi = effect.alpha2(own, alpha2, now), effect.phi(own, phi, now)
-    if overrides(model.effects, "alpha2"):
-        alpha2 = tuple(jnp.maximum(x, LEAST * bare[0]) for x in alpha2)
-    if overrides(model.effects, "phi"):
-        phi = tuple(jnp.maximum(x, LEAST * bare[1]) for x in phi)
     return now, tuple(kept), alpha2, phi
+
+
+def _possible(model: Model, vacuum: Array, alpha2: Vector, phi: Vector) -> tuple[Vector, Vector]:
+    """α₂ and φ as far as effects leave a spring and a friction: `LEAST` of them."""
+    if overrides(model.effects, "alpha2"):
+        alpha2 = tuple(jnp.maximum(x, LEAST * energy.alpha2(model, vacuum)) for x in alpha2)
+    if overrides(model.effects, "phi"):
+        phi = tuple(jnp.maximum(x, LEAST * energy.phi(model, vacuum)) for x in phi)
+    return alpha2, phi
 
 
 def settled(model: Model, q: Vector, drive: Drive, after_s: float) -> tuple[Vector, Vector]:
@@ -436,6 +440,7 @@ def advance(model: Model, c: Constants, state: Unrolled, drive: Drive, h: Any, h
     h = h * jnp.ones_like(drive.left)
     s = GAMMA * h
     now, memory, alpha2, phi = _inputs(model, _now(model, state, drive, h), state.memory)
+    alpha2, phi = _possible(model, now.vacuum, alpha2, phi)
     now = now._replace(alpha2=alpha2, phi=phi)
     still = tuple(jnp.zeros_like(x) for x in state.q), tuple(jnp.ones_like(x) for x in state.q)
     m, coriolis = inertia_and_coriolis(how, c, *(still if model.constant_mass else (now.sin, now.cos)), state.v)

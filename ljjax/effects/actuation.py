@@ -154,8 +154,8 @@ class ActuatorRipple(Effect):
     """Ripple over each spool's angle φ, which goes with the bend and with the stretch c of the tendon, ±q_Σ + c T:
     T + A E Σₖ aₖ sin(k w φ) + bₖ cos(k w φ), k = 1, 2, each tendon with a phase of its own; A = T₀ (T/T₀)^p, T₀ = 10 N,
     is the tension itself (ripple of the torque, p = 1) or the same for all tensions (cogging, p = 0). A wheel of N
-    teeth off its centre does more on one side of its turn, E = 1 + e_s sin(w φ/N) + e_c cos(w φ/N). A tendon never
-    pushes."""
+    teeth off its centre pulls more on one side of its turn, A (o_s sin(w φ/N) + o_c cos(w φ/N)), and ripples more,
+    E = 1 + e_s sin(w φ/N) + e_c cos(w φ/N). A tendon never pushes."""
 
     id, block, axes = "actuator_ripple", "actuation", ("angle", "load")
     left_sine: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.05)
@@ -166,6 +166,10 @@ class ActuatorRipple(Effect):
     right_cosine: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.05)
     right_sine2: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.03)
     right_cosine2: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.03)
+    left_once_sine: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.03)
+    left_once_cosine: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.03)
+    right_once_sine: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.03)
+    right_once_cosine: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.03)
     waves: jax.Array = shape("1/rad", 15.0, 2.0, 200.0, (5.0, 8.0, 12.0, 18.0, 27.0, 40.0), "waves")
     stretch: jax.Array = shape("rad/N", 0.01, 1e-4, 0.3, (0.006, 0.018))
     power: jax.Array = shape("1", 1.0, 0.0, 1.0, (0.5,))
@@ -175,19 +179,24 @@ class ActuatorRipple(Effect):
     right_runout_sine: jax.Array = shape("1", 0.0, -0.9, 0.9, (0.0,))
     right_runout_cosine: jax.Array = shape("1", 0.0, -0.9, 0.9, (0.0,))
 
+    @classmethod
+    def likewise(cls, values):
+        up = {n: values[n + "2"] for n in values if n + "2" in values} | {n: 0.0 for n in values if n.endswith("2")}
+        return [{**values, **up, "waves": 2 * values["waves"], "teeth": 2 * values["teeth"]}]
+
     def actuate(self, memory, u, now):
         bend = sum(now.middle)
         left = self.left_sine, self.left_cosine, self.left_sine2, self.left_cosine2
         right = self.right_sine, self.right_cosine, self.right_sine2, self.right_cosine2
-        runouts = (
-            (self.left_runout_sine, self.left_runout_cosine),
-            (self.right_runout_sine, self.right_runout_cosine),
+        once = (
+            (self.left_once_sine, self.left_once_cosine, self.left_runout_sine, self.left_runout_cosine),
+            (self.right_once_sine, self.right_once_cosine, self.right_runout_sine, self.right_runout_cosine),
         )
         out = []
-        for t, angle, shares, (sine, cosine) in zip(u, (bend, -bend), (left, right), runouts, strict=True):
+        for t, angle, shares, (a, b, more_a, more_b) in zip(u, (bend, -bend), (left, right), once, strict=True):
             turn = self.waves * (angle + self.stretch * t)
-            once = turn / self.teeth
-            share = wave(turn, *shares) * (1 + sine * jnp.sin(once) + cosine * jnp.cos(once))
+            sine, cosine = jnp.sin(turn / self.teeth), jnp.cos(turn / self.teeth)
+            share = a * sine + b * cosine + (1 + more_a * sine + more_b * cosine) * wave(turn, *shares)
             size = COGGING_N * jnp.exp(0.5 * self.power * jnp.log((t * t + SLACK_N**2) / COGGING_N**2))
             more, held = size * share, positive(t)
             out.append(t + jnp.where(more >= -held, more, -held))

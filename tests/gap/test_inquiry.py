@@ -155,7 +155,7 @@ def varied(*effects: BaseTilt) -> tuple[Inquiry, Any]:
     (plain,) = study.refit(asked.base.model, [trial], None)
     single = {"base_tilt": plain}
     assert selection.left(plain) > 0.3
-    Variation(study, asked.base, study.screen(asked.base), selection.left).let(single)
+    Variation(study, asked.base, study.screen(asked.base), selection.left, selection.gap).let(single)
     assert selection.left(single["base_tilt"]) < 0.02
     return asked, single["base_tilt"].effects[0]
 

@@ -203,6 +203,22 @@ def test_cogging_pulls_a_slack_tendon_but_never_pushes():
         assert pulled(tension) == pytest.approx(max(tension - 1.0, 0.0), abs=2e-3)
 
 
+def test_a_ripple_an_octave_up_does_the_same_and_has_room_for_its_own_overtone():
+    """What only the second harmonic tells, on a wheel off its centre: the same tensions at twice the waves."""
+    kind: Any = REGISTRY["actuator_ripple"]
+    values = {n: float(about["null"]) for n, about in kind.fields().items()}
+    values |= {"left_sine2": 0.07, "right_cosine2": -0.05, "left_once_sine": 0.1, "right_runout_cosine": 0.4}
+    values |= {"waves": 9.0, "teeth": 6.0, "power": 0.5}
+    (up,) = kind.likewise(values)
+    assert up["waves"] == 18.0 and up["left_sine2"] == up["right_cosine2"] == 0.0
+    for bend in np.linspace(-0.8, 0.8, 9):
+        now: Any = SimpleNamespace(middle=(jnp.asarray(bend),))
+        u = (jnp.asarray(6.0), jnp.asarray(3.0))
+        one, other = (np.asarray(kind(**x).actuate((), u, now)[0]) for x in (values, up))
+        np.testing.assert_allclose(one, other, rtol=1e-9)
+        assert abs(one[0] - 6.0) > 1e-3
+
+
 def test_a_soft_lining_rubs_no_more_than_so_much_at_small_tensions():
     """e³ at most: (0.1/10)^(0.3 − 1) makes an exponent of 20 of six joints' bends of 0.3 rad."""
     rubs: Any = REGISTRY["tendon_friction"](**{"mu": 1.0, "power": 0.3})

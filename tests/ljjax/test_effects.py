@@ -323,11 +323,17 @@ def test_what_an_effect_remembers_at_the_start_is_what_reaches_it(robot):
 
 
 def test_no_effect_makes_a_friction_or_a_stiffness_that_drives(robot):
-    warm = build("thermal_drift", {"friction_per_k": -0.2, "stiffness_per_k": -2.0})
-    model = dataclasses.replace(robot(3), effects=(warm,))
-    at = Drive(*jnp.zeros(3), warm=jnp.asarray(10.0))
-    made, bare = (step.settled(m, (jnp.zeros(()),) * 3, at, 1.0) for m in (model, robot(3)))
-    np.testing.assert_allclose(np.asarray(made), 0.02 * np.asarray(bare), rtol=1e-6)
+    """However far it takes them down, a fiftieth is left."""
+    at, still = Drive(*jnp.zeros(3), warm=jnp.asarray(10.0)), (jnp.zeros(()),) * 3
+    bent = step.Unrolled((jnp.asarray(0.3),) * 3, still, still, ((),))
+
+    def after(**per_k: float) -> np.ndarray:
+        model = dataclasses.replace(robot(3), effects=(build("thermal_drift", per_k),))
+        return np.asarray(step.advance(model, step.constants(model), bent, at, 0.005, step.How(3)).q)
+
+    for name in ("friction_per_k", "stiffness_per_k"):
+        some, least, beyond = (after(**{name: x}) for x in (-0.05, -0.098, -0.5))
+        assert np.abs(beyond - least).max() < 0.05 * np.abs(some - least).max()
 
 
 def test_the_moment_at_which_an_effect_begins_has_the_right_derivative(robot):
