@@ -12,7 +12,6 @@ import numpy as np
 
 from ljjax.effect import Effect
 from ljjax.effects.varying import ONSET, by_run
-from ljjax.errors import InputError
 from ljjax.fit import folds
 from ljjax.fit.coordinates import without_effects
 from ljjax.fit.windows import Motion
@@ -136,11 +135,6 @@ class Inquiry:
             self.given = self._given()
             self.screen = study.screen(self.base)
         self.measured: Measured = measured.result()
-        if broken := [k.id for k in study.kinds if k.id not in self.screen.ids]:
-            raise InputError(
-                f"{broken[0]}: its derivative where it vanishes is not a finite number; write it so that it is, or "
-                f"leave it out (--without {broken[0]})"
-            )
         self.selection = Selection(study, self.base, self.given, self.screen, self.measured, setting.seed)
         self.found, self.floor, self.excess = self.selection.found, self.selection.floor, self.selection.excess
         self.gained = {i: self.base.total - r.total for i, r in self.found.single.items()}

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from ljjax import effects, modelfile
+from ljjax import effects, modelfile, step
 from ljjax.data import OCTROBOT
 from ljjax.effect import Effect
 from ljjax.errors import InputError, SolverError
@@ -15,16 +16,15 @@ from ljjax.fit.kernel import one_blas_thread
 from ljjax.fit.points import set_aside
 from ljjax.fit.result import NOMINAL
 from ljjax.fit.run import calm, parted, prepared, resting
-from ljjax.fit.session import in_order
-from ljjax.fit.windows import Motion, Source, check_columns, motion, with_tips
+from ljjax.fit.windows import Motion, Source, with_tips
 from ljjax.gap.answer import answer
-from ljjax.gap.candidates import sizes
+from ljjax.gap.candidates import path, sizes, universal
 from ljjax.gap.data import FITTED, span, unseen
 from ljjax.gap.inquiry import Inquiry, Setting
 from ljjax.gap.result import Diagnosis
 from ljjax.gap.search import Study
 from ljjax.logs import Run
-from ljjax.model import check
+from ljjax.model import Model, check, replace
 from ljjax.modelfile import ModelFile
 
 LEAST = 15.0
@@ -75,7 +75,7 @@ def diagnose(
     options = {"without": list(without), "inputs": inputs, "model": start_from}
     runs, held_out = parted(runs, held_out)
     moving = [r for r in runs if not resting(r)]
-    case = prepared(start, start_from, moving, (), start.frozen, inputs)
+    case = prepared(start, start_from, moving, held_out, start.frozen, inputs)
     if isinstance(case, list):
         if held_out:
             raise InputError("--held-out: no run to fit moves; of steady points every pressure is left out in turn")
@@ -91,13 +91,13 @@ def diagnose(
             raise InputError(f"{still[0]}; and as steady points: {error}" if still else str(error)) from None
     beside = "steady points and presses beside moving runs; diagnose them by themselves"
     said = [*case.said, *(f"left out: {r.path}: {beside}" for r in runs if resting(r))]
-    train, test = _parted(case.problem.motions, held_out, start.model.n, inputs, said)
+    train, test = _parted(case.problem.motions, case.tests, bool(held_out))
     both = with_tips([*train, *test])
     train, test = both[: len(train)], both[len(train) :]
     if train[0].tip is not None:
         said.append("the tip's orientation, logged in all of these runs, counts beside the shape")
     _moves_enough(train)
-    kinds, c = _on_trial(without, start.model.n, train, said), case.problem.coordinates
+    kinds, c = _on_trial(without, start.model, train, said), case.problem.coordinates
     top = max(c.pressure, *(float(m.vacuum.max()) for m in test))
     check(start.model, [0.0, top], start_from)
     again = prepared(start, start_from, [m.run for m in train], (), start.frozen, inputs)  # held by what is fitted
@@ -113,44 +113,54 @@ def diagnose(
         raise SolverError(f"{start_from}: {error}; give a model nearer to the robot") from None
 
 
-def _on_trial(without: Sequence[str], n: int, train: Sequence[Motion], said: list[str]) -> list[type[Effect]]:
+def _on_trial(without: Sequence[str], model: Model, train: Sequence[Motion], said: list[str]) -> list[type[Effect]]:
     """The candidates; those of which runs that log so little say nothing are left out and added to `said`."""
     kinds = [k for i, k in effects.REGISTRY.items() if i not in without]
-    logged = train[0].y.shape[1]
+    n, logged = model.n, train[0].y.shape[1]
     shown = [k for k in kinds if sizes(k, n, logged)]
     said += [f"{k.id} is not on trial: logs of so few joints say nothing of it" for k in kinds if k not in shown]
     if not shown:
         raise InputError("--without leaves no effect to try; leave out fewer")
+    for kind in shown:
+        if kind not in effects.LIBRARY and not _smooth(kind, model):
+            raise InputError(
+                f"{kind.id}: its derivative where it vanishes is not a finite number (of a root, say); write it so "
+                f"that it is, or leave it out (--without {kind.id})"
+            )
     return shown
 
 
-def _parted(
-    motions: Sequence[Motion], held_out: Sequence[Run], joints: int, inputs: Source, said: list[str]
-) -> tuple[list[Motion], list[Motion]]:
-    """The runs that are fitted and those on which the gap is measured, both in the order in which they were recorded;
-    what could not be used is added to `said`."""
-    if not held_out:
-        ordered = in_order(motions)
-        keep = unseen(ordered)
-        return [m for i, m in enumerate(ordered) if i not in keep], [ordered[i] for i in keep]
-    tests = []
-    for run in held_out:
-        try:
-            tests.append(motion(run, joints, inputs))
-        except InputError as error:
-            said.append(f"left out: {error}")
+def _smooth(kind: type[Effect], model: Model) -> bool:
+    """Whether a step of a bent robot has finite derivatives by an effect's sizes where it vanishes; one that has not
+    would spoil all others', which are simulated beside it."""
+    whole = universal(model, [kind])
+    left, right, vacuum, t = (jnp.asarray(x) for x in (5.0, 1.0, 10.0, 0.0))
+    drive = step.Drive(left, right, vacuum, t=t)
+
+    @jax.jit
+    def moved(x: jax.Array) -> jax.Array:
+        robot = replace(whole, {path(kind, n): x[i] for i, n in enumerate(kind.sizes())})
+        begun = step.at_rest(robot, (jnp.asarray(0.1),) * model.n, drive)
+        end = step.advance(robot, step.constants(robot), begun, drive, jnp.asarray(0.005), step.How(2, loops=True))
+        return jnp.stack([*end.q, *(() if end.sensed is None else end.sensed)])
+
+    nulls = jnp.asarray([float(kind.fields()[n]["null"]) for n in kind.sizes()])
+    return bool(jnp.isfinite(jax.jacfwd(moved)(nulls)).all())
+
+
+def _parted(motions: Sequence[Motion], tests: Sequence[Motion], told: bool) -> tuple[list[Motion], list[Motion]]:
+    """The runs that are fitted and those on which the gap is measured: `tests`, if it is told which, else some."""
+    if not told:
+        keep = unseen(motions)
+        return [m for i, m in enumerate(motions) if i not in keep], [motions[i] for i in keep]
     if not tests:
         raise InputError("--held-out: none of these runs moves; give runs of moving tensions")
-    check_columns([*motions, *tests])
-    parts: tuple[list[Motion], list[Motion]] = ([], [])
-    for m in in_order([*motions, *tests]):
-        parts[any(m.run is t.run for t in tests)].append(m)
-    if len(parts[0]) < FITTED:
+    if len(motions) < FITTED:
         raise InputError(
-            f"cannot tell from {len(parts[0])} moving run beside those of --held-out: a diagnosis fits two or more, "
+            f"cannot tell from {len(motions)} moving run beside those of --held-out: a diagnosis fits two or more, "
             "each foretold by the others; give more logs"
         )
-    return parts
+    return list(motions), list(tests)
 
 
 def _moves_enough(train: Sequence[Motion]) -> None:

@@ -298,7 +298,7 @@ def _look(search: Search) -> Asking[Search]:
 def gather(
     searches: Sequence[Search], said: Sequence[Sequence[Column]], forms: Mapping[tuple[str, int], Mapping[str, float]]
 ) -> Screen:
-    """One Jacobian out of many, of the forms whose derivatives are finite."""
+    """One Jacobian out of many."""
     columns = [c for own in said for c in own]
     first = searches[0]
     base, r, sigma = _projected(first)
@@ -306,9 +306,6 @@ def gather(
     extra = np.concatenate([_projected(s, first)[0] for s in searches[1:]], axis=2)
     n, c, m = extra.shape
     flat_base, flat, flat_r = base.reshape(n * c, count), extra.reshape(n * c, m), r.reshape(-1)
-    broken = {(x.id, x.form) for x, own in zip(columns, flat.T, strict=True) if not np.isfinite(own).all()}
-    keep = [j for j, x in enumerate(columns) if (x.id, x.form) not in broken]
-    columns, flat = [columns[j] for j in keep], flat[:, keep]
     q, triangle = np.linalg.qr(flat_base)
     along = q.T @ flat
     flat_r = flat_r - q @ (q.T @ flat_r)

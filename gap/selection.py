@@ -75,6 +75,14 @@ def pairs(leaders: Sequence[Refit], kinds: Sequence[type[Effect]]) -> list[Trial
     return out
 
 
+def _leading(refits: Sequence[Refit], count: int) -> list[Refit]:
+    """The best of each effect, or effects, of those that leave least."""
+    best: dict[tuple[str, ...], Refit] = {}
+    for r in sorted(refits, key=lambda r: r.total):
+        best.setdefault(r.ids, r)
+    return list(best.values())[:count]
+
+
 class Selection:
     """A search that has run.
 
@@ -139,10 +147,7 @@ class Selection:
         found += self._with_care(trials, found)
         found += self._likewise(found)
         if self._least(found) > WELL:
-            best: dict[tuple[str, ...], Refit] = {}
-            for r in sorted(found, key=lambda r: r.total):
-                best.setdefault(r.ids, r)
-            found += self._anew(list(best.values())[:ANEW])
+            found += self._anew(_leading(found, ANEW))
             if self._least(found) > FURTHER:  # nothing explains it: then of those too that promise nothing
                 rest = [t for i in screen.ids if i not in begun for t in self._trials_around(screen, i)]
                 found += self._on_few(rest, found, "from the given model", finish=6)
@@ -150,13 +155,11 @@ class Selection:
 
     def _likewise(self, found: Sequence[Refit]) -> list[Refit]:
         """The leaders begun once more with other parameters that do much the same, if they have any."""
-        kinds, out, best = {k.id: k for k in self.study.kinds}, list[Refit](), dict[str, Refit]()
-        for r in sorted(found, key=lambda r: r.total):
-            best.setdefault(r.ids[0], r)
-        for i, r in list(best.items())[:CLOSE]:
-            values = {p.split(".")[2]: x for p, x in r.free_effects.items()}
-            others = kinds[i].likewise(values) if self.own_left(r) > ALIKE else []
-            trials = [Trial(r.ids, {path(kinds[i], n): x for n, x in other.items()}) for other in others]
+        kinds, out = {k.id: k for k in self.study.kinds}, list[Refit]()
+        for r in _leading(found, CLOSE):
+            kind, values = kinds[r.ids[0]], {p.split(".")[2]: x for p, x in r.free_effects.items()}
+            others = kind.likewise(values) if self.own_left(r) > ALIKE else []
+            trials = [Trial(r.ids, {path(kind, n): x for n, x in other.items()}) for other in others]
             out += self.study.refit(r.model, trials, None, stage="likewise") if trials else []
         return out
 

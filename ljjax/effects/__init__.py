@@ -46,7 +46,7 @@ from ljjax.effects.structure import (
 from ljjax.effects.varying import having
 from ljjax.errors import InputError
 
-_ALL: tuple[type[Effect], ...] = (
+LIBRARY: tuple[type[Effect], ...] = (
     ActuatorDelay,
     ActuatorDeadband,
     ActuatorGain,
@@ -79,7 +79,8 @@ _ALL: tuple[type[Effect], ...] = (
     SensorBias,
     SensorDelay,
 )
-REGISTRY: dict[str, type[Effect]] = {kind.id: kind for kind in _ALL}
+"""The effects that the package brings."""
+REGISTRY: dict[str, type[Effect]] = {kind.id: kind for kind in LIBRARY}
 """Every effect by id, in the order in which several of them hook into a model."""
 BLOCKS = ("actuation", "jamming", "structure", "friction", "sensing")
 

@@ -23,6 +23,7 @@ from ljjax.effects import REGISTRY
 from ljjax.errors import InputError
 from ljjax.gap import diagnose
 from ljjax.gap.result import LAST
+from ljjax.gap.run import _smooth
 from ljjax.logs import Writer, read
 from ljjax.modelfile import ModelFile
 from ljjax.replay import replay
@@ -217,6 +218,39 @@ def test_bad_input_is_refused_by_name(tmp_path, capsys):
     ):
         assert main(["gap", *args]) == 2
         assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+BROKEN = '''
+import jax.numpy as jnp
+from ljjax.effect import Effect, parameter
+
+class Root(Effect):
+    """A push as the root of its parameter, which has no derivative where it is 0."""
+    id, block, axes = "root_push", "structure", ("angle",)
+    size = parameter("N²m²", 0.0, 0.0, 1.0, 0.1)
+    __annotations__ = {"size": object}
+
+    def load(self, memory, load, now):
+        return tuple(x + jnp.sqrt(self.size) for x in load)
+'''
+
+
+def test_an_effect_without_a_derivative_where_it_vanishes_is_refused_by_its_name(tmp_path, capsys):
+    folder = record(tmp_path / "robot", tau=0.35)
+    (tmp_path / "own.py").write_text(BROKEN)
+    try:
+        args = ["--model", str(folder / "nominal.toml"), "--effects", str(tmp_path / "own.py"), "--without", *REGISTRY]
+        assert main(["gap", str(folder / "train"), *args, "--out", str(tmp_path / "out")]) == 2
+        assert "root_push: its derivative where it vanishes is not a finite number" in capsys.readouterr().err
+        nominal = modelfile.load(folder / "nominal.toml").model
+        assert [_smooth(REGISTRY[i], nominal) for i in ("root_push", "actuator_lag", "sensor_filter")] == [
+            False,
+            True,
+            True,
+        ]
+    finally:
+        REGISTRY.pop("root_push", None)
     assert not (tmp_path / "out").exists()
 
 
