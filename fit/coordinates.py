@@ -49,7 +49,7 @@ class Coordinates:
         self.pressure = float(max(pressure_max_kpa, 1.0))
         self.like = _inside(like)
         self._leaves, self._form = jax.tree.flatten(self.like)
-        self._numbers = [np.asarray(leaf) for leaf in self._leaves]
+        self._numbers = [np.asarray(x) for x in self._leaves]
         numbered = jax.tree.unflatten(self._form, range(len(self._leaves)))
         self._places = [leaf(numbered, p) for p in names]
         whole = [p for group in GROUPS if set(group) <= set(names) for p in group]

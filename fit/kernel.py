@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import gc
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -22,10 +23,11 @@ from ljjax.step import How, advance, constants, in_balance, unsensed
 
 
 @contextlib.contextmanager
-def one_blas_thread() -> Iterator[None]:
-    """With NumPy's and SciPy's linear algebra on one thread. Products of long and narrow matrices gain little by more,
-    and threads that wait for each other by spinning lose hundreds of times as much where another process has a core."""
-    with threadpool_limits(1, "blas"):
+def at_work() -> Iterator[None]:
+    """With JAX on the processor (`batch.on_processor`), and NumPy's and SciPy's linear algebra on one thread: products
+    of long and narrow matrices gain little by more, and threads that wait for each other by spinning lose hundreds of
+    times as much where another process has a core."""
+    with batch.on_processor(), threadpool_limits(1, "blas"):
         yield
 
 
@@ -73,15 +75,25 @@ def _uncollected() -> Iterator[None]:
             gc.enable()
 
 
-def _options() -> dict[str, Any]:
-    """Compiler options of the kernels here, which are compiled once a fit: less is optimised, and they run as fast."""
-    return {**batch.options(), "xla_backend_optimization_level": 1} if batch.options() else {}
+def _compiled(static: tuple[int, ...] = (), **options: Any) -> Callable[[Callable], Callable]:
+    """`jax.jit` with compiler options that suit the place where the program runs, known only then."""
+
+    def decorate(function: Callable) -> Callable:
+        @functools.cache
+        def program(platform: str) -> Callable:
+            return jax.jit(function, static_argnums=static, compiler_options=batch.options(**options))
+
+        @functools.wraps(function)
+        def run(*arguments: Any) -> Any:
+            return program(batch.platform())(*arguments)
+
+        return run
+
+    return decorate
 
 
-def _quick() -> dict[str, Any]:
-    """Compiler options of what takes longer to compile than to run: as little work of the compiler as there is."""
-    least = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
-    return {**batch.options(), **least} if batch.options() else {}
+SOON: dict[str, Any] = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+"""Compiler options of what takes longer to compile than to run: as little work of the compiler as there is."""
 
 
 def _push(f: Callable, primals: Any, tangents: Any) -> Any:
@@ -98,7 +110,7 @@ def _in_balance(model, q, v, drive):
     return in_balance(model, unsensed(model, q, v, drive), v, drive)
 
 
-@partial(jax.jit, compiler_options=_quick())
+@_compiled(**SOON)
 def balance(model, slopes, q, v, drive):
     """Starting states from the data, (W,), and their derivatives (k + 1, W)."""
 
@@ -109,7 +121,7 @@ def balance(model, slopes, q, v, drive):
     return _push(f, (model, q), (slopes, tuple(along for _ in q)))
 
 
-@partial(jax.jit, compiler_options=_quick())
+@_compiled(**SOON)
 def _constants(model, slopes):
     """What no step changes, and its derivatives."""
     return _push(constants, (model,), (slopes,))
@@ -197,7 +209,7 @@ def _path(logged: Logged, state):
     return tuple(a + b for a, b in zip(of_shape, tip, strict=True))
 
 
-@partial(jax.jit, static_argnums=(0, 1), compiler_options=_options())
+@_compiled(static=(0, 1), xla_backend_optimization_level=1)  # once a fit: less is optimised, and it runs as fast
 def _shoot(logged: Logged, onward: bool, model, slopes, c, c_slopes, state, slope, drive, h):
     """Middles and ends of the windows, the path (q, v, what is seen − q) from start to end, and all derivatives."""
 

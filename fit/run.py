@@ -12,7 +12,7 @@ from ljjax.data import OCTROBOT
 from ljjax.errors import InputError
 from ljjax.fit.coordinates import Coordinates
 from ljjax.fit.dynamic import estimate, predict
-from ljjax.fit.kernel import one_blas_thread
+from ljjax.fit.kernel import at_work
 from ljjax.fit.moving import DynamicResult
 from ljjax.fit.points import Points, collect, points_of, set_aside
 from ljjax.fit.problem import ROUNDS, Estimate, Problem, Round, within
@@ -102,7 +102,7 @@ def fit(
     return result
 
 
-@one_blas_thread()
+@at_work()
 def fit_many(
     model: ModelFile | None | Mapping[str, ModelFile],
     robots: Mapping[str, Sequence[Run]],

@@ -12,7 +12,7 @@ from ljjax import effects, modelfile, step
 from ljjax.data import OCTROBOT
 from ljjax.effect import Effect
 from ljjax.errors import InputError, SolverError
-from ljjax.fit.kernel import one_blas_thread
+from ljjax.fit.kernel import at_work
 from ljjax.fit.points import set_aside
 from ljjax.fit.result import NOMINAL
 from ljjax.fit.run import calm, parted, prepared, resting
@@ -31,7 +31,7 @@ LEAST = 15.0
 """The least range of an angle in units of its noise."""
 
 
-@one_blas_thread()
+@at_work()
 def diagnose(
     model: ModelFile | None,
     runs: Sequence[Run],

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -18,11 +19,39 @@ LEAST, MOST = 32, 512
 OPTIONS: dict[str, Any] = {"xla_disable_hlo_passes": "cse_barrier_expander"}
 """Compiler options for processors: the barriers in `ljjax.step` hold until operations are fused. XLA removes them
 earlier by default, and then computes anew what several results share, several times over."""
+CONFIG: Any = jax.config
+UNTIL = {"xla_disable_hlo_passes": (0, 12), "xla_cpu_use_fusion_emitters": (0, 11)}
+"""The version of JAX from which on its XLA refuses an option, or programs compiled with it."""
 
 
-def options() -> dict[str, Any]:
-    """What to hand to `jax.jit(compiler_options=…)` where the solver runs in batches."""
-    return OPTIONS if jax.default_backend() == "cpu" else {}
+def platform() -> str:
+    """Where programs run now: "cpu", "gpu", …"""
+    chosen = CONFIG.jax_default_device
+    return jax.default_backend() if chosen is None else getattr(chosen, "platform", chosen)
+
+
+@contextlib.contextmanager
+def on_processor() -> Iterator[None]:
+    """With JAX's programs on the processor even where there is a graphics card, which starts the many short steps of
+    few windows more slowly than a core computes them. Who has chosen a default device, or by JAX_PLATFORMS leaves no
+    processor, has it."""
+    if platform() == "cpu" or CONFIG.jax_default_device is not None:
+        yield
+        return
+    with contextlib.suppress(RuntimeError):
+        CONFIG.update("jax_default_device", jax.devices("cpu")[0])
+    try:
+        yield
+    finally:
+        CONFIG.update("jax_default_device", None)
+
+
+def options(**more: Any) -> dict[str, Any]:
+    """What to hand to `jax.jit(compiler_options=…)` where the solver runs in batches, and `more` of XLA's options; but
+    none that this version refuses: they change how fast a program is, not what it gives."""
+    if platform() != "cpu":
+        return {}
+    return {k: x for k, x in {**OPTIONS, **more}.items() if k not in UNTIL or jax.__version_info__ < UNTIL[k]}
 
 
 def over(function: Callable[..., Any], threads: int | None = None) -> Callable[..., Any]:
@@ -41,9 +70,9 @@ def over(function: Callable[..., Any], threads: int | None = None) -> Callable[.
     compiled: set[int] = set()
 
     def run(*arguments: Any) -> Any:
-        if jax.device_count() > 1:
+        if platform() == jax.default_backend() and jax.device_count() > 1:
             return _shared(program, arguments)
-        if jax.default_backend() != "cpu":
+        if platform() != "cpu":
             return program(*arguments)
         arrays = jax.tree.map(np.asarray, arguments)  # without a copy; slices of NumPy's are views
         size = jax.tree.leaves(arrays)[0].shape[0]

@@ -65,13 +65,19 @@ def main(args: Sequence[str] | None = None) -> int:
         return 130
 
 
-def start_jax() -> None:
+def start_jax(large: bool = False) -> None:
     """Float64, and programs compiled once kept for the next call, in the user's cache folder.
 
     LJJAX_CACHE names another folder; empty, nothing is kept.
+
+    Args:
+        large: thousands of loops or runs are simulated at once: on a graphics card where JAX has one. Otherwise on the
+            processor, which is quicker with few (`benchmarks/devices.py`). JAX_PLATFORMS has the last word.
     """
     import jax
 
+    if not large and not os.environ.get("JAX_PLATFORMS"):
+        jax.config.update("jax_platforms", "cpu")
     jax.config.update("jax_enable_x64", True)
     home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
     folder = os.environ.get("LJJAX_CACHE", os.path.join(home, "ljjax"))

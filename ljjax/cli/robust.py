@@ -50,7 +50,7 @@ def command(
     """
     from ljjax.cli import progress, start_jax
 
-    start_jax()
+    start_jax(large=True)
     from ljjax import law as laws
     from ljjax import modelfile
     from ljjax.control import fitted

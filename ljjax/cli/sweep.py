@@ -51,7 +51,7 @@ def command(
     """
     from ljjax.cli import start_jax
 
-    start_jax()
+    start_jax(large=True)
     from ljjax.logs import find, load_mapping, read_all
     from ljjax.sweep import sweep
     from ljjax.sweep_plan import parse, read_columns

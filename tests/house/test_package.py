@@ -131,3 +131,33 @@ def test_rooms_import_only_what_the_house_allows():
                         wrong.append(f"{path.relative_to(ROOT)}: {line.strip()}")
     wrong = [w for w in wrong if not w.startswith("ljjax/__init__.py")]
     assert not wrong
+
+
+COMPREHENSIONS = ast.ListComp, ast.SetComp, ast.DictComp
+
+
+def hidden(source: str) -> list[str]:
+    """Names of the module that a comprehension of a function takes for its variable while another expression of that
+    function means the module's. CPython 3.12 to 3.12.3 takes such a name for a variable of the function throughout."""
+    tree = ast.parse(source)
+    own = {a.asname or a.name for x in tree.body if isinstance(x, ast.Import | ast.ImportFrom) for a in x.names}
+    own |= {x.name for x in tree.body if isinstance(x, ast.FunctionDef | ast.ClassDef)}
+    found = []
+    for function in ast.walk(tree):
+        if not isinstance(function, ast.FunctionDef):
+            continue
+        taken: dict[str, set[int]] = {}
+        for each in ast.walk(function):
+            if isinstance(each, COMPREHENSIONS):
+                for x in (x for part in each.generators for x in ast.walk(part.target) if isinstance(x, ast.Name)):
+                    taken.setdefault(x.id, set()).update(id(y) for y in ast.walk(each))
+        for x in ast.walk(function):
+            if isinstance(x, ast.Name) and x.id in own and id(x) not in taken.get(x.id, {id(x)}):
+                found.append(f"line {x.lineno}: {x.id}")
+    return found
+
+
+def test_no_comprehension_takes_a_name_of_the_module_that_its_function_uses():
+    assert hidden("def leaf(): 0\ndef f(): return [leaf for leaf in ()], [leaf(x) for x in ()]") == ["line 2: leaf"]
+    sources = [path for room in ("ljjax", *ROOMS) for path in (ROOT / room).rglob("*.py")]
+    assert not {str(path): names for path in sources if (names := hidden(path.read_text(encoding="utf-8")))}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -51,3 +53,17 @@ def test_a_failure_stays_one(simulated, monkeypatch):
     others = np.arange(SIZE) != 2
     assert np.isnan(hurt[2]).all() and np.isfinite(hurt[others]).all()
     np.testing.assert_array_equal(hurt[others], good[others])
+
+
+def test_on_the_processor_only_as_long_as_asked(monkeypatch):
+    """Where JAX would take a graphics card, programs run on the processor, in other threads too, and afterwards on the
+    card again."""
+    said = []
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert batch.platform() == "gpu" and batch.options() == {}
+    with batch.on_processor():
+        thread = threading.Thread(target=lambda: said.append((batch.platform(), jnp.sin(1.0).devices())))
+        thread.start()
+        thread.join()
+    assert said == [("cpu", {jax.devices("cpu")[0]})]
+    assert batch.platform() == "gpu" and batch.CONFIG.jax_default_device is None

@@ -322,3 +322,11 @@ def test_a_fault_of_ours_is_not_dressed_as_the_users(place: Path, monkeypatch: p
     with pytest.raises(ZeroDivisionError):
         main(["fit", str(place / "steady.mcap"), "--out", str(place / "new")])
     assert not (place / "new").exists()
+
+
+@pytest.mark.parametrize(("large", "asked", "found"), [("", "", "cpu"), ("large=True", "", "any"), ("", "tpu", "tpu")])
+def test_a_command_takes_a_graphics_card_where_it_pays_or_is_asked_for(large, asked, found):
+    code = f"import jax; from ljjax.cli import start_jax; start_jax({large}); print(jax.config.jax_platforms or 'any')"
+    env = {**os.environ, "JAX_PLATFORMS": asked, "LJJAX_CACHE": ""}
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == found
