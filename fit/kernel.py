@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import gc
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -75,27 +74,6 @@ def _uncollected() -> Iterator[None]:
             gc.enable()
 
 
-def _compiled(static: tuple[int, ...] = (), **options: Any) -> Callable[[Callable], Callable]:
-    """`jax.jit` with compiler options that suit the place where the program runs, known only then."""
-
-    def decorate(function: Callable) -> Callable:
-        @functools.cache
-        def program(platform: str) -> Callable:
-            return jax.jit(function, static_argnums=static, compiler_options=batch.options(**options))
-
-        @functools.wraps(function)
-        def run(*arguments: Any) -> Any:
-            return program(batch.platform())(*arguments)
-
-        return run
-
-    return decorate
-
-
-SOON: dict[str, Any] = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
-"""Compiler options of what takes longer to compile than to run: as little work of the compiler as there is."""
-
-
 def _push(f: Callable, primals: Any, tangents: Any) -> Any:
     """f at the primals, and its derivatives along tangents stacked along a new first axis."""
 
@@ -110,7 +88,7 @@ def _in_balance(model, q, v, drive):
     return in_balance(model, unsensed(model, q, v, drive), v, drive)
 
 
-@_compiled(**SOON)
+@batch.compiled(**batch.SOON)
 def balance(model, slopes, q, v, drive):
     """Starting states from the data, (W,), and their derivatives (k + 1, W)."""
 
@@ -121,7 +99,7 @@ def balance(model, slopes, q, v, drive):
     return _push(f, (model, q), (slopes, tuple(along for _ in q)))
 
 
-@_compiled(**SOON)
+@batch.compiled(**batch.SOON)
 def _constants(model, slopes):
     """What no step changes, and its derivatives."""
     return _push(constants, (model,), (slopes,))
@@ -209,7 +187,7 @@ def _path(logged: Logged, state):
     return tuple(a + b for a, b in zip(of_shape, tip, strict=True))
 
 
-@_compiled(static=(0, 1), xla_backend_optimization_level=1)  # once a fit: less is optimised, and it runs as fast
+@batch.compiled(static=(0, 1), xla_backend_optimization_level=1)  # once a fit: less is optimised, and it runs as fast
 def _shoot(logged: Logged, onward: bool, model, slopes, c, c_slopes, state, slope, drive, h):
     """Middles and ends of the windows, the path (q, v, what is seen − q) from start to end, and all derivatives."""
 

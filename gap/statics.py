@@ -20,9 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ljjax import step
+from ljjax import batch, step
 from ljjax.chain import lateral_jacobian
 from ljjax.effect import Effect, Vector
+from ljjax.fit.kernel import on_all_cores
 from ljjax.fit.points import Points
 from ljjax.model import Model, get, leaf, replace
 
@@ -117,7 +118,7 @@ def tip_stiffness(model: Model, theta: Array, vacuum: Array, net: Array) -> Arra
     return 1 / (a @ jnp.linalg.solve(jnp.diag(model.friction.sigma0 * phi) - slope, a))
 
 
-@eqx.filter_jit
+@batch.compiled(static=(1, 2), **batch.SOON)
 def _observed(model: Model, names: tuple[str, ...], steady: bool, x: Array, theta: Array, vacuum: Array) -> Array:
     def one(x: Array, theta: Array, vacuum: Array) -> Array:
         changed = eqx.tree_at(lambda m: [leaf(m, n) for n in names], model, [x[i] for i in range(len(names))])
@@ -168,13 +169,15 @@ class Laws:
         count = len(flat) * len(points)
         theta, vacuum = (np.tile(v, len(flat)) for v in (points.theta, points.pressure_kpa))
         owner = np.repeat(np.arange(len(flat)), len(points))
-        out = np.empty(count)
-        for start in range(0, count, TILE):
+        steady = points.kind == "steady"
+
+        def tile(start: int) -> np.ndarray:
             index = np.minimum(np.arange(start, start + TILE), count - 1)  # the last tile is filled up
             of = owner[index]
-            at = map(jnp.asarray, (flat[of], theta[index], vacuum[index]))
-            seen = _observed(self.model, self.names, points.kind == "steady", *at)
-            out[start : start + TILE] = np.asarray(seen)[: count - start]
+            return np.asarray(_observed(self.model, self.names, steady, flat[of], theta[index], vacuum[index]))
+
+        form = "observed", steady, jax.tree.structure(self.model), self.names
+        out = np.concatenate(on_all_cores(tile, range(0, count, TILE), form))[:count]
         return out.reshape(*x.shape[:-1], len(points))
 
     def slopes(self, x: np.ndarray, points: Points, active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

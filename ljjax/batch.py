@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import os
 from collections.abc import Callable, Iterator
@@ -16,12 +17,15 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 LEAST, MOST = 32, 512
 """Elements a tile: fewer waste the time in which operations start, more leave the cache."""
-OPTIONS: dict[str, Any] = {"xla_disable_hlo_passes": "cse_barrier_expander"}
+OPTIONS: dict[str, Any] = {"xla_disable_hlo_passes": "cse_barrier_expander,small-while-loop-hoisting"}
 """Compiler options for processors: the barriers in `ljjax.step` hold until operations are fused. XLA removes them
-earlier by default, and then computes anew what several results share, several times over."""
+earlier by default, and then computes anew what several results share, several times over; and it puts small loops into
+one kernel, in which (from JAX 0.12 on) it knows no barrier."""
+GONE = {"xla_cpu_use_fusion_emitters"} if jax.__version_info__ >= (0, 11) else set()
+"""Options that this version of XLA no longer knows."""
+SOON: dict[str, Any] = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+"""Further ones for what takes longer to compile than to run: as little work of the compiler as there is."""
 CONFIG: Any = jax.config
-UNTIL = {"xla_disable_hlo_passes": (0, 12), "xla_cpu_use_fusion_emitters": (0, 11)}
-"""The version of JAX from which on its XLA refuses an option, or programs compiled with it."""
 
 
 def platform() -> str:
@@ -47,11 +51,26 @@ def on_processor() -> Iterator[None]:
 
 
 def options(**more: Any) -> dict[str, Any]:
-    """What to hand to `jax.jit(compiler_options=…)` where the solver runs in batches, and `more` of XLA's options; but
-    none that this version refuses: they change how fast a program is, not what it gives."""
-    if platform() != "cpu":
-        return {}
-    return {k: x for k, x in {**OPTIONS, **more}.items() if k not in UNTIL or jax.__version_info__ < UNTIL[k]}
+    """What to hand to `jax.jit(compiler_options=…)` where the solver runs in batches, and `more` of XLA's options, but
+    for those that it no longer knows: they change how fast a program is, not what it gives."""
+    return {k: x for k, x in {**OPTIONS, **more}.items() if k not in GONE} if platform() == "cpu" else {}
+
+
+def compiled(static: tuple[int, ...] = (), **more: Any) -> Callable[[Callable], Callable]:
+    """`jax.jit` with compiler options that suit the place where the program runs, known only then."""
+
+    def decorate(function: Callable) -> Callable:
+        @functools.cache
+        def program(_: str) -> Callable:
+            return jax.jit(function, static_argnums=static, compiler_options=options(**more))
+
+        @functools.wraps(function)
+        def run(*arguments: Any) -> Any:
+            return program(platform())(*arguments)
+
+        return run
+
+    return decorate
 
 
 def over(function: Callable[..., Any], threads: int | None = None) -> Callable[..., Any]:
