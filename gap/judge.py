@@ -155,13 +155,15 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
 
 def _outside(e: Evidence, least: float, by: Weights) -> float:
     """The share that the best listed effect is taken to leave of one outside the library: more where that is far ahead
-    of all others, as a stand-in is not unless it is one of `MIMICS`; in full where it leaves half of what would make it
-    so."""
-    first, second, *_ = sorted(min(x - least, 1.0) for x in (*e.left.values(), 1.0, 1.0))
-    if MIMICS & {i for i, x in e.left.items() if x - least <= first}:
+    of all others but those that cannot be told from it, as a stand-in is not unless it is one of `MIMICS`; in full
+    where it leaves half of what would make it so."""
+    left = {i: min(x - least, 1.0) for i, x in e.left.items()}
+    first = min(left.values(), default=1.0)
+    if MIMICS & {i for i, x in left.items() if x <= first}:
         return by.leaves
-    far = min(max(2 - 2 * first / (by.ahead * second), 0.0), 1.0) if second > 0 else 0.0
-    return by.leaves + far * max(by.ahead * second - by.leaves, 0.0)
+    second = min((x for x in left.values() if x > as_little(first, e.unit)), default=1.0)
+    far = max(2 - 2 * first / (by.ahead * second), 0.0) if second > 0 else 0.0
+    return by.leaves + min(far, 1.0) * max(by.ahead * second - by.leaves, 0.0)
 
 
 def _carried(fitted: float, elsewhere: Sequence[float]) -> float:

@@ -7,13 +7,13 @@ import tempfile
 
 import jax
 
-from ljjax.batch import UNTIL
+from ljjax.batch import GONE
 from ljjax.cli import start_jax
 
 # Most of the tests' time is XLA's; code that is generated more plainly is there sooner. `XLA_FLAGS= make test`
 # tests what a user's XLA generates by default.
 PLAIN = "--xla_backend_optimization_level=0"
-if jax.__version_info__ < UNTIL["xla_cpu_use_fusion_emitters"]:  # from then on XLA stops at this flag as unknown
+if "xla_cpu_use_fusion_emitters" not in GONE:  # XLA stops at a flag that it does not know
     PLAIN += " --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("XLA_FLAGS", PLAIN)
 if "PYTEST_XDIST_WORKER" not in os.environ:  # what one process compiles the others read; nothing is left behind
