@@ -28,6 +28,8 @@ from ljjax.modelfile import ModelFile
 ANGLE = {1: "theta"}
 COLOURED, POORER = 3.0, 0.4
 """What a reader is told of: leftovers so coloured; a condition that closes by so much less than most."""
+SCATTERS = 0.5
+"""A delay is said to scatter where that leaves no more than this share of what its refit does."""
 SEES = 0.8
 """A stand-in that leaves more than this share of the gap points nowhere."""
 
@@ -255,6 +257,12 @@ def worse(gap: Gap, chosen: Sequence[str]) -> list[str]:
 def _left_over(inquiry: Inquiry) -> list[str]:
     """When the selected effects begin, what they leave, and conditions to which they do not carry over."""
     chosen, setting, out = inquiry.chosen, inquiry.setting, []
+    scatter = chosen.scatter
+    if scatter.left < SCATTERS:
+        out.append(
+            f"the delay scatters by {1e3 * scatter.sd_s:.2g} ms (standard deviation): {100 * (1 - scatter.left):.0f} % "
+            "of what is left goes by it, which no model foretells; stamp each frame when it is taken"
+        )
     for effect in chosen.effects:
         if when := began(effect, setting.train, setting.test):
             out.append(f"{effect.id} begins {when}")

@@ -202,7 +202,7 @@ class Inquiry:
             after, before = (
                 told * self._unseen(r) + (1 - told) * self._above(r.estimate.error) for r in (refit, self.base)
             )
-            share = after.sum() / max(before.sum(), 1e-3 * self.selection.gap)
+            share = after.sum() / max(before.sum(), 1e-3 * self.selection.gap) * refit.scatter.left
             out.append(self.measured.joined(float(share), refit.fitted))
         return out
 
@@ -213,10 +213,13 @@ class Inquiry:
         seen = study.predict([self.base, *refits], motions)
         before, *after = (np.nan_to_num(study.loss(e), nan=np.inf) for e in seen)
         floor, out = study.floor(motions), []
-        for refit, left in zip(refits, after, strict=True):
+        for refit, estimate, left in zip(refits, seen[1:], after, strict=True):
             told = ~unfixed(refit.effects, self.setting.train, motions)
             least, all_, some = (float(x[told].sum()) for x in (floor, before, left))
-            out.append((some - least) / (all_ - least) if all_ > SHOWN * least else 0.0)
+            share = (some - least) / (all_ - least) if all_ > SHOWN * least else 0.0
+            if share > 0 and refit.scatter.sd_s > 0:  # by chance it may be larger or smaller there
+                share *= study.scatter(estimate, refit.effects).left
+            out.append(share)
         return out
 
     def told_elsewhere(self, refits: Sequence[Refit]) -> list[np.ndarray]:

@@ -20,6 +20,7 @@ from ljjax.fit.windows import Motion, Windows, cut
 from ljjax.gap import screening
 from ljjax.gap.candidates import Trial, path, pilots, still, universal
 from ljjax.gap.channels import Fitted
+from ljjax.gap.scatter import NO_SCATTER, Scatter, scatter
 from ljjax.gap.screening import Screen
 from ljjax.model import Model, limits, replace
 
@@ -46,11 +47,13 @@ class Refit:
         trial: which effects were free.
         estimate: what came of it.
         loss: (R,) sum of squared residuals of each run in units of the noise, gross outliers counted less.
+        scatter: of a latency set free, if there is one.
     """
 
     trial: Trial
     estimate: Estimate
     loss: np.ndarray
+    scatter: Scatter = NO_SCATTER
 
     @property
     def total(self) -> float:
@@ -283,7 +286,16 @@ class Study:
             x = x if c.admissible(x) else c.start
             asked.append(_searched(problem, self.windows, x, iterations, borrowed))
         found = together(asked, self._tell(stage))
-        return [Refit(t, f, self.loss(f)) for t, f in zip(trials, found, strict=True) if isinstance(f, Estimate)]
+        return [self._done(t, f) for t, f in zip(trials, found, strict=True) if isinstance(f, Estimate)]
+
+    def _done(self, trial: Trial, found: Estimate) -> Refit:
+        free = [e for e in found.model.effects if e.id in trial.ids]
+        return Refit(trial, found, self.loss(found), self.scatter(found, free))
+
+    def scatter(self, found: Estimate, effects: Sequence[Effect]) -> Scatter:
+        """How the latency of the effects, if they have one, scatters in an estimate's runs."""
+        assert self.unit is not None
+        return scatter(found, effects, self.unit, self.noise)
 
     def loss(self, found: Estimate) -> np.ndarray:
         """(R,) what `cost` adds up to in each run."""

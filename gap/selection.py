@@ -108,8 +108,9 @@ class Selection:
         return max(self.excess, 1e-3 * self.floor)
 
     def own_left(self, refit: Refit) -> float:
-        """The share of the shape's gap that a refit leaves."""
-        return float((refit.total - self.floor) / self.gap)
+        """The share of the shape's gap that a refit leaves, but for what a delay's scatter accounts for."""
+        left = float((refit.total - self.floor) / self.gap)
+        return left * refit.scatter.left if left > 0 else left
 
     def left(self, refit: Refit) -> float:
         """The share of the gap a refit leaves, the measured inputs' own gap among it."""

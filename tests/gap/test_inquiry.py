@@ -17,6 +17,7 @@ from ljjax.gap.answer import _left_over
 from ljjax.gap.candidates import Trial
 from ljjax.gap.data import span
 from ljjax.gap.inquiry import Inquiry, began, fell_behind, unfixed
+from ljjax.gap.scatter import Scatter
 from ljjax.gap.search import Study
 from ljjax.gap.selection import Selection
 from ljjax.gap.stand_ins import QUICK, STAND_INS
@@ -35,9 +36,9 @@ def inquiry(*effects: Any) -> Inquiry:
     study = Study(start.model, c.names, kinds, runs, c.pressure, span(runs), start.bounds, start.priors)
     asked: Any = Inquiry.__new__(Inquiry)
     asked.setting, asked.base = SimpleNamespace(study=study, train=runs, test=()), study.base()
-    floor = float(study.floor(runs).sum())
-    gap = asked.base.total - floor
-    asked.selection = SimpleNamespace(gap=gap, own_left=lambda refit: (refit.total - floor) / gap)
+    asked.selection = object.__new__(Selection)
+    asked.selection.floor = float(study.floor(runs).sum())
+    asked.selection.excess = asked.base.total - asked.selection.floor
     asked.measured = SimpleNamespace(joined=lambda share, _: share)
     return asked
 
@@ -112,6 +113,9 @@ def test_runs_that_no_fit_saw_are_asked_only_where_they_show_the_gap(touched):
     (refit,) = asked.setting.study.refit(asked.base.model, [Trial(("contact",), start)], None)
     asked.setting.test = asked.setting.train  # what is left of the fitted ones is known
     assert asked.leave_held_out([asked.base, refit]) == pytest.approx([1.0, asked.selection.own_left(refit)], abs=2e-3)
+    scattered = dataclasses.replace(refit, scatter=Scatter(0.01, 0.25))
+    for left in (asked.selection.own_left, lambda r: asked.leave_unseen([r])[0]):
+        assert left(scattered) == pytest.approx(0.25 * left(refit), abs=1e-6)
     quiet = int(np.argmin(asked.base.loss))
     asked.setting.test = [asked.setting.train[quiet]]
     assert asked.leave_held_out([refit]) == [0.0]

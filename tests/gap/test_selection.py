@@ -11,6 +11,7 @@ import pytest
 from ljjax.effects import REGISTRY
 from ljjax.gap.candidates import CAUTIOUS, Trial
 from ljjax.gap.channels import Measured
+from ljjax.gap.scatter import NO_SCATTER
 from ljjax.gap.screening import Column, Screen
 from ljjax.gap.search import Study
 from ljjax.gap.selection import Found, Selection
@@ -85,7 +86,9 @@ def test_no_gap_is_unexplained_before_every_effect_has_been_tried():
     def refitted(trial: Trial, explains: str) -> Any:
         total = 101.0 if trial.ids == (explains,) else 900.0
         loss, start = np.array([total / 2, total / 2]), dict(trial.start)
-        return SimpleNamespace(trial=trial, ids=trial.ids, total=total, loss=loss, free_effects=start)
+        return SimpleNamespace(
+            trial=trial, ids=trial.ids, total=total, loss=loss, free_effects=start, scatter=NO_SCATTER
+        )
 
     def tried(explains: str) -> tuple[list[str], set[str]]:
         """The effects refitted to all runs, the last last, and all of them begun."""
@@ -132,7 +135,8 @@ def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_from_
     begun: list[Trial] = []
 
     def refitted(trial: Trial, left: float) -> Any:
-        return SimpleNamespace(trial=trial, ids=trial.ids, total=100 + 900 * left, fitted=(), free_effects=trial.start)
+        more: Any = {"fitted": (), "free_effects": trial.start, "scatter": NO_SCATTER}
+        return SimpleNamespace(trial=trial, ids=trial.ids, total=100 + 900 * left, **more)
 
     first = refitted(Trial(("contact",), {"effects.contact.stop": 7.0}), 0.4)
 
@@ -199,7 +203,8 @@ def test_an_effect_tried_beside_another_before_is_begun_anew_where_that_one_is_k
 
     def refitted(ids: tuple[str, ...], left: float) -> Any:
         used = dict.fromkeys(ids, 1)
-        return SimpleNamespace(ids=ids, total=100 + 900 * left, model=ids, used=used, trial=Trial(ids))
+        more: Any = {"used": used, "trial": Trial(ids), "scatter": NO_SCATTER}
+        return SimpleNamespace(ids=ids, total=100 + 900 * left, model=ids, **more)
 
     tilt, lag, delay = "base_tilt", "actuator_lag", "actuator_delay"
     pair = refitted((lag, tilt), 0.12)
