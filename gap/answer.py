@@ -28,8 +28,8 @@ from ljjax.modelfile import ModelFile
 ANGLE = {1: "theta"}
 COLOURED, POORER = 3.0, 0.4
 """What a reader is told of: leftovers so coloured; a condition that closes by so much less than most."""
-SCATTERS = 0.5
-"""A delay is said to scatter where that leaves no more than this share of what its refit does."""
+SCATTERS = 0.02
+"""A latency is said to scatter where that makes more than this share of the gap and half of what is left."""
 SEES = 0.8
 """A stand-in that leaves more than this share of the gap points nowhere."""
 
@@ -257,11 +257,11 @@ def worse(gap: Gap, chosen: Sequence[str]) -> list[str]:
 def _left_over(inquiry: Inquiry) -> list[str]:
     """When the selected effects begin, what they leave, and conditions to which they do not carry over."""
     chosen, setting, out = inquiry.chosen, inquiry.setting, []
-    scatter = chosen.scatter
-    if scatter.left < SCATTERS:
+    excused = inquiry.selection.excused(chosen)
+    if excused > max(SCATTERS, 0.5 * inquiry.own_left(chosen)):
         out.append(
-            f"the delay scatters by {1e3 * scatter.sd_s:.2g} ms (standard deviation): {100 * (1 - scatter.left):.0f} % "
-            "of what is left goes by it, which no model foretells; stamp each frame when it is taken"
+            f"the latency scatters by {1e3 * chosen.scatter.sd_s:.2g} ms (standard deviation) from frame to frame, "
+            f"which makes {100 * excused:.0f} % of the gap and no model foretells; stamp each frame when it is taken"
         )
     for effect in chosen.effects:
         if when := began(effect, setting.train, setting.test):
@@ -270,7 +270,7 @@ def _left_over(inquiry: Inquiry) -> list[str]:
             out.append(
                 f"{effect.id} is another in each run: what it will be in a new one cannot be told from these data"
             )
-    left, estimate = inquiry.own_left(chosen), chosen.estimate
+    left, estimate = inquiry.own_left(chosen) - excused, chosen.estimate
     colour = screening.colour(estimate.error, estimate.windows.sample_run)
     who = " and ".join(chosen.ids)
     if left > LEFT_OVER and colour > COLOURED:

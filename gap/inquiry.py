@@ -34,6 +34,8 @@ UNTRIED, BEHIND = 0.35, 1.5
 leaves."""
 SHOWN = 2.0
 """How many times the noise's variance the base leaves at least of unseen runs that can tell what carries over."""
+CHANCE = 1.5
+"""How many times a latency's standard deviation in the fitted runs it is taken to have in unseen ones at most."""
 ELSEWHERE = 0.05
 """The share of what effects do outside a fold from which the other folds are taken to say all about them."""
 
@@ -202,7 +204,8 @@ class Inquiry:
             after, before = (
                 told * self._unseen(r) + (1 - told) * self._above(r.estimate.error) for r in (refit, self.base)
             )
-            share = after.sum() / max(before.sum(), 1e-3 * self.selection.gap) * refit.scatter.left
+            share = after.sum() / max(before.sum(), 1e-3 * self.selection.gap)
+            share -= self.selection.excused(refit)
             out.append(self.measured.joined(float(share), refit.fitted))
         return out
 
@@ -217,8 +220,8 @@ class Inquiry:
             told = ~unfixed(refit.effects, self.setting.train, motions)
             least, all_, some = (float(x[told].sum()) for x in (floor, before, left))
             share = (some - least) / (all_ - least) if all_ > SHOWN * least else 0.0
-            if share > 0 and refit.scatter.sd_s > 0:  # by chance it may be larger or smaller there
-                share *= study.scatter(estimate, refit.effects).left
+            if share > 0 and refit.scatter.left < 1:
+                share *= study.scatter(estimate, refit.effects, told, CHANCE * refit.scatter.sd_s).left
             out.append(share)
         return out
 

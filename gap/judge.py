@@ -61,6 +61,12 @@ MIMICS = frozenset({"actuator_ripple", "nonuniform_stiffness"})
 cause is, and stand-ins of few terms are asked beside them however little they leave: a tendon's ripple over the bend,
 of any length, makes up for a body that snaps in waves over its own; and for what is amiss in one joint of many only a
 stiffness that differs from joint to joint makes up at all."""
+SAME = (
+    {"actuator_delay", "actuator_lag", "sensor_delay", "sensor_filter"},
+    {"rest_curvature", "base_tilt", "sensor_bias"},
+    {"layer_wear", "thermal_drift"},
+)
+"""Effects of which each does nearly what the others do (docs/effects.md), so that none is far ahead of the others."""
 STRANGE = 0.1
 """The share of what `unlisted_effect` is ahead of every listed one by that goes to them all alike: to a listed cause in
 a form that nobody has thought of the data point no more than to what is outside the library. Of 63 fresh robots so
@@ -155,14 +161,17 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
 
 def _outside(e: Evidence, least: float, by: Weights) -> float:
     """The share that the best listed effect is taken to leave of one outside the library: more where that is far ahead
-    of all others but those that cannot be told from it, as a stand-in is not unless it is one of `MIMICS`; in full
-    where it leaves half of what would make it so."""
+    of all others but those that do what it does, as a stand-in is not unless it is one of `MIMICS`; in full where it
+    leaves half of what would make it so."""
     left = {i: min(x - least, 1.0) for i, x in e.left.items()}
-    first = min(left.values(), default=1.0)
-    if MIMICS & {i for i, x in left.items() if x <= first}:
+    if not left:
         return by.leaves
-    second = min((x for x in left.values() if x > as_little(first, e.unit)), default=1.0)
-    far = max(2 - 2 * first / (by.ahead * second), 0.0) if second > 0 else 0.0
+    best = min(left, key=lambda i: left[i])
+    if MIMICS & {i for i, x in left.items() if x <= left[best]}:
+        return by.leaves
+    like = next((group for group in SAME if best in group), {best})
+    second = min((x for i, x in left.items() if i not in like), default=1.0)
+    far = max(2 - 2 * left[best] / (by.ahead * second), 0.0) if second > 0 else 0.0
     return by.leaves + min(far, 1.0) * max(by.ahead * second - by.leaves, 0.0)
 
 

@@ -292,10 +292,12 @@ class Study:
         free = [e for e in found.model.effects if e.id in trial.ids]
         return Refit(trial, found, self.loss(found), self.scatter(found, free))
 
-    def scatter(self, found: Estimate, effects: Sequence[Effect]) -> Scatter:
-        """How the latency of the effects, if they have one, scatters in an estimate's runs."""
+    def scatter(
+        self, found: Estimate, effects: Sequence[Effect], runs: np.ndarray | None = None, most_s: float = np.inf
+    ) -> Scatter:
+        """How the latency of the effects, if they have one, scatters in an estimate's runs (`ljjax.gap.scatter`)."""
         assert self.unit is not None
-        return scatter(found, effects, self.unit, self.noise)
+        return scatter(found, effects, self.unit, self.noise, runs, most_s)
 
     def loss(self, found: Estimate) -> np.ndarray:
         """(R,) what `cost` adds up to in each run."""

@@ -108,14 +108,18 @@ class Selection:
         return max(self.excess, 1e-3 * self.floor)
 
     def own_left(self, refit: Refit) -> float:
-        """The share of the shape's gap that a refit leaves, but for what a delay's scatter accounts for."""
-        left = float((refit.total - self.floor) / self.gap)
-        return left * refit.scatter.left if left > 0 else left
+        """The share of the shape's gap that a refit leaves."""
+        return float((refit.total - self.floor) / self.gap)
+
+    def excused(self, refit: Refit) -> float:
+        """The share of it that a latency's scatter accounts for, which no fit foretells."""
+        return max(self.own_left(refit), 0.0) * (1 - refit.scatter.left)
 
     def left(self, refit: Refit) -> float:
-        """The share of the gap a refit leaves, the measured inputs' own gap among it."""
+        """The share of the gap a refit leaves, the measured inputs' own gap among it, but for what is excused."""
         if refit not in self._joined:
-            self._joined[refit] = self.measured.joined(self.own_left(refit), refit.fitted)
+            own = self.own_left(refit) - self.excused(refit)
+            self._joined[refit] = self.measured.joined(own, refit.fitted)
         return self._joined[refit]
 
     def unit_of(self, refit: Refit) -> float:

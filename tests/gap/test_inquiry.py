@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ljjax.effects.sensing import SensorDelay
 from ljjax.effects.structure import BaseTilt, Contact
 from ljjax.effects.varying import by_run, varying
 from ljjax.fit.run import prepared
@@ -17,7 +18,7 @@ from ljjax.gap.answer import _left_over
 from ljjax.gap.candidates import Trial
 from ljjax.gap.data import span
 from ljjax.gap.inquiry import Inquiry, began, fell_behind, unfixed
-from ljjax.gap.scatter import Scatter
+from ljjax.gap.scatter import NO_SCATTER
 from ljjax.gap.search import Study
 from ljjax.gap.selection import Selection
 from ljjax.gap.stand_ins import QUICK, STAND_INS
@@ -25,14 +26,13 @@ from ljjax.gap.variation import Variation
 from tests.fit.test_dynamic import guess, logged, robot
 
 
-def inquiry(*effects: Any) -> Inquiry:
-    """Into three runs of a robot with an effect in each, what is asked of it left out."""
+def inquiry(*effects: Any, kinds: Any = (Contact, BaseTilt), seen: Any = lambda run, seed: run) -> Inquiry:
+    """Into three runs of a robot with an effect in each, as they are `seen`, what is asked of it left out."""
     start = guess(robot())
-    given = [logged(dataclasses.replace(robot(), effects=(e,)), s) for s, e in enumerate(effects)]
+    given = [seen(logged(dataclasses.replace(robot(), effects=(e,)), s), s) for s, e in enumerate(effects)]
     case = prepared(start, "nominal.toml", given, (), start.frozen, "commands")
     assert not isinstance(case, list)
     runs, c = in_order(case.problem.motions), case.problem.coordinates
-    kinds = (Contact, BaseTilt)
     study = Study(start.model, c.names, kinds, runs, c.pressure, span(runs), start.bounds, start.priors)
     asked: Any = Inquiry.__new__(Inquiry)
     asked.setting, asked.base = SimpleNamespace(study=study, train=runs, test=()), study.base()
@@ -113,12 +113,37 @@ def test_runs_that_no_fit_saw_are_asked_only_where_they_show_the_gap(touched):
     (refit,) = asked.setting.study.refit(asked.base.model, [Trial(("contact",), start)], None)
     asked.setting.test = asked.setting.train  # what is left of the fitted ones is known
     assert asked.leave_held_out([asked.base, refit]) == pytest.approx([1.0, asked.selection.own_left(refit)], abs=2e-3)
-    scattered = dataclasses.replace(refit, scatter=Scatter(0.01, 0.25))
-    for left in (asked.selection.own_left, lambda r: asked.leave_unseen([r])[0]):
-        assert left(scattered) == pytest.approx(0.25 * left(refit), abs=1e-6)
     quiet = int(np.argmin(asked.base.loss))
     asked.setting.test = [asked.setting.train[quiet]]
     assert asked.leave_held_out([refit]) == [0.0]
+
+
+def test_a_latency_drawn_for_every_frame_is_known_in_runs_fitted_and_unseen_and_told():
+    make: Any = SensorDelay
+
+    def late(run: Any, seed: int) -> Any:
+        shape, rng = run.signals["shape"], np.random.default_rng(seed)
+        at = shape.t - 0.04 - 0.015 * rng.standard_normal(len(shape.t))
+        value = np.stack([np.interp(at, shape.t, x) for x in shape.value.T], axis=1)
+        return dataclasses.replace(run, signals={**run.signals, "shape": dataclasses.replace(shape, value=value)})
+
+    asked: Any = inquiry(*[make()] * 4, kinds=(SensorDelay,), seen=late)
+    asked.setting.test = asked.setting.train[3:]
+    fitted = asked.setting.study.of(range(3))
+    asked.setting.study, asked.setting.train, asked.base = fitted, asked.setting.train[:3], fitted.base()
+    asked.selection.floor = float(fitted.floor(fitted.motions).sum())
+    asked.selection.excess = asked.base.total - asked.selection.floor
+    (refit,) = fitted.refit(
+        asked.base.model, [Trial(("sensor_delay",), {"effects.sensor_delay.delay_seconds": 0.02})], None
+    )
+    own, excused = asked.own_left(refit), asked.selection.excused(refit)
+    assert refit.scatter.sd_s == pytest.approx(0.015, rel=0.25)
+    assert own > 0.1 and excused > 0.7 * own
+    blind = dataclasses.replace(refit, scatter=NO_SCATTER)
+    for left in (asked.leave_unseen, asked.leave_held_out):
+        assert left([blind])[0] > 0.6 * own and left([refit])[0] < 0.5 * left([blind])[0]
+    asked.chosen, asked.evidence = refit, SimpleNamespace(left={}, held_out={})
+    assert "the latency scatters by 1" in _left_over(asked)[0]
 
 
 IN_DOUBT = " (before, in or after {0} the fitted runs do not say: no error here counts {0})"

@@ -94,7 +94,9 @@ def test_what_is_far_ahead_of_all_others_is_a_cause_in_another_form_not_a_stand_
     alone, among = (judge.probabilities(evidence({"contact": 0.3, "base_tilt": x})) for x in (0.95, 0.4))
     assert alone["contact"] > 0.8 and among["unlisted_effect"] > among["contact"]
     both = judge.probabilities(evidence({"actuator_delay": 0.2, "actuator_lag": 0.22, "base_tilt": 0.95}))
-    assert both["actuator_delay"] + both["actuator_lag"] > 0.8  # none of the two holds the other back: they are alike
+    assert both["actuator_delay"] + both["actuator_lag"] > 0.8  # none of the two holds the other back: they do the same
+    partial = judge.probabilities(evidence({"contact": 0.2, "tip_payload": 0.22, "base_tilt": 0.95}))
+    assert partial["unlisted_effect"] > 0.8
     for mimic in judge.MIMICS:  # which is ahead of all others where it does what is outside the library
         ahead = judge.probabilities(evidence({mimic: 0.3, "base_tilt": 0.95}))
         assert ahead["unlisted_effect"] > ahead[mimic]
