@@ -23,7 +23,7 @@ from ljjax.fit.least_squares import solve
 from ljjax.fit.windows import Motion, white_noise
 from ljjax.gap.candidates import pilots
 from ljjax.gap.data import span
-from ljjax.gap.screening import clock, rates, waves_in
+from ljjax.gap.screening import beat, clock, rates, waves_in
 from ljjax.model import Model
 from ljjax.step import Unrolled, directions
 
@@ -32,6 +32,8 @@ SMOOTH = 5
 """Steps on either side over which the rate of the measured shape is taken."""
 CLOCK = {"drift": 1.0, "reset_s": 1.0, "phase": 0.0}
 """Shares for a clock where none is heard."""
+HELD = 2.0
+"""How much of its mean a delay grows over a beat at which commands are read and then held: from none to twice of it."""
 SPEAKS = 1.3
 """A channel speaks if its RMS distance from the command is so many times its noise, whether a command that changes at
 a stamp counts there already or not yet, and an effect explains some."""
@@ -302,12 +304,16 @@ class _Inputs:
         return np.stack([mean(m.input_t, m.tendons, e - delay, m.hold, np) for m, e in edges])
 
     def clock(self, error: np.ndarray) -> dict[str, float]:
-        """How the delay of the tensions would change between two settings of a clock, by their error (N,)."""
+        """How the delay of the tensions would change between two settings of a clock: by the beat at which they change,
+        where they are held in between as their commands are not, else by their error (N,)."""
         if not self.tension:
             return {}
         t, run = np.concatenate(self.t), np.repeat(np.arange(len(self.t)), [len(t) for t in self.t])
-        e = error.reshape(-1, 2)
-        return clock(t, e, rates(t, e + self.y.reshape(-1, 2), run))
+        e, y = error.reshape(-1, 2), self.y.reshape(-1, 2)
+        if heard := beat(t, y, e + y, run):
+            hz, phase = heard
+            return {"drift": HELD, "reset_s": 1 / hz, "phase": phase}
+        return clock(t, e, rates(t, e + y, run))
 
     def waves(self, error: np.ndarray) -> list[float]:
         """The waves over the body's bend [1/rad] that the net tension's error (N,) has most of."""

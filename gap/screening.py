@@ -248,6 +248,13 @@ SLOW_HZ, STANDS_OUT = 1.0, 25.0
 they have at a faster one that is heard, as chance does not make."""
 
 
+GROSS, RARE, STEPS, OWN, FASTEST = 30.0, 0.01, 60.0, 0.3, 0.45
+"""Squares of jumps beyond so many times their median, or a hundredth of their mean, count as that; how much louder than
+beside it a beat of them is that is heard, and how much of that commands may have themselves; and the fastest one, as a
+share of the samples' rate."""
+OVERTONES = (1, 2, 3, 4, 5)
+
+
 def clock_of(found: Estimate) -> dict[str, float]:
     """`clock`, of the shape's errors and its predicted rate."""
     w, predicted = found.windows, found.windows.shape(found.predicted)
@@ -262,6 +269,49 @@ def rates(t: np.ndarray, x: np.ndarray, run: np.ndarray) -> np.ndarray:
         if len(mine) > 2:
             out[mine] = np.gradient(x[mine], t[mine], axis=0)
     return out
+
+
+def beat(t: np.ndarray, x: np.ndarray, commanded: np.ndarray, run: np.ndarray) -> tuple[float, float] | None:
+    """The beat [Hz] at which x (N, c), held in between, changes, as what is commanded (N, c) does not, at times t (N,)
+    of runs (N,); and how much of one has gone by half a beat before each change, when a run begins (as in `clock`).
+    None where none is heard."""
+    later = np.flatnonzero(run[1:] == run[:-1]) + 1
+    if not len(later):
+        return None
+    middle, every = 0.5 * (t[later] + t[later - 1]), float(np.median(t[later] - t[later - 1]))
+    hz = np.arange(2 * AROUND, int(FASTEST / every / BEAT_HZ)) * BEAT_HZ
+    if len(hz) < 4 * AROUND:
+        return None
+
+    jumps = [(signal[later] - signal[later - 1]) ** 2 for signal in (x, commanded)]
+    gross = GROSS * np.maximum(np.median(jumps[0], axis=0), RARE * np.mean(jumps[0], axis=0))
+
+    def spectrum(jump: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of squares of jumps, and how loud each beat is beside those next to it."""
+        size = np.minimum(jump, gross).sum(axis=1)
+        turn, wave = size - size.mean() + 0j, np.exp(-2j * np.pi * BEAT_HZ * middle)
+        turn *= wave ** (2 * AROUND)
+        of = np.empty(len(hz), complex)
+        for k in range(len(hz)):
+            of[k] = turn.sum()
+            turn *= wave
+        power = np.abs(of) ** 2
+        beside = [np.median(power[max(k - AROUND, 0) : k + AROUND + 1]) for k in range(len(hz))]
+        return of, power / np.maximum(beside, 1e-300)
+
+    (of, loud), (_, own) = map(spectrum, jumps)
+    loud = np.where(own < OWN * loud, loud, 0.0)
+    slowest, heard = 2 * AROUND, np.zeros(len(hz))
+    for k in range(len(hz)):  # a beat and its overtones are as loud
+        at = [m * (slowest + k) - slowest for m in OVERTONES]
+        near = (loud[i - m // 2 : i + m // 2 + 1] for i, m in zip(at, OVERTONES, strict=True))
+        heard[k] = np.median([x.max() for x in near if len(x)])
+    if heard.max() < STEPS:
+        return None
+    first = int(np.argmax(heard > 0.5 * heard.max()))
+    first += int(np.argmax(loud[first : first + AROUND]))
+    change = -np.angle(of[first]) / (2 * np.pi)  # the share of a beat from a run's start to a change
+    return float(hz[first]), float((0.5 - change) % 1.0)
 
 
 def clock(t: np.ndarray, error: np.ndarray, rate: np.ndarray) -> dict[str, float]:

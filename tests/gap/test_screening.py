@@ -13,7 +13,7 @@ from ljjax.effects import REGISTRY
 from ljjax.effects.varying import WAYS, varies, varying
 from ljjax.gap.candidates import Trial, either_side, pilots, sizes
 from ljjax.gap.channels import Channel, Fitted, Measured, _Inputs, look
-from ljjax.gap.screening import Column, Screen, clock, waves
+from ljjax.gap.screening import Column, Screen, beat, clock, waves
 from ljjax.gap.search import FIRST, Study, _best, needed, units
 from ljjax.gap.variation import Variation
 from tests.fit.test_dynamic import robot
@@ -64,6 +64,28 @@ def test_a_clock_that_is_set_now_and_then_is_heard_in_what_goes_with_the_rate(wa
     assert abs((heard["phase"] - phase + 0.5) % 1.0 - 0.5) < 0.1
 
 
+@pytest.mark.parametrize(("period", "phase", "late"), [(0.0782, 0.3, 0.0), (0.03, 0.9, 0.0), (0.21, 0.5, 0.02)])
+def test_a_beat_is_heard_in_what_is_held_in_between(period, phase, late):
+    """Whatever else jumps; `phase` of a beat has gone by at a run's start half a beat before a change."""
+    rng, t = np.random.default_rng(5), np.arange(0.0, 15.0, 0.01)
+
+    def given(at):
+        return 5 + 2 * np.sin(2.1 * at) + np.sin(5.3 * at + 1) + 3.0 * (np.floor(at / 3.3) % 2)
+
+    read = (np.floor(t / period + phase - 0.5 + 1e-9) - phase + 0.5) * period
+    runs = np.tile(t, 2), np.repeat([0, 1], len(t))
+    noise = 0.02 * rng.standard_normal((2 * len(t), 1))
+    ask = np.tile(given(t), 2)[:, None]
+    hz, heard = beat(runs[0], np.tile(given(read - late), 2)[:, None] + noise, ask, runs[1]) or (0.0, 0.0)
+    assert 1 / hz == pytest.approx(period, rel=0.005)
+    assert abs((heard - phase + 0.5) % 1.0 - 0.5) < 0.12
+    later = np.tile(given(t - 0.05), 2)[:, None] + noise
+    assert beat(runs[0], later, ask, runs[1]) is None
+    assert beat(t[:2], later[:2], ask[:2], runs[1][:2]) is None
+    both = np.tile(given(read), 2)[:, None]  # commanded at that beat, and followed
+    assert beat(runs[0], both + noise, both, runs[1]) is None
+
+
 def test_a_search_is_begun_to_either_side_of_nothing_where_there_are_two():
     """Sizes of one sign alone stay on their side, forms as they are, and the largest is as large as usual."""
     bias, friction = REGISTRY["pressure_bias"], REGISTRY["tendon_friction"]
@@ -107,10 +129,12 @@ def test_a_measured_tension_takes_an_effect_within_the_shapes_doubt():
     assert channel.rms_with([]) is None
 
 
-def test_measured_tensions_tell_of_commands_read_at_a_beat():
-    beat, t = 0.3, np.arange(0.0, 12.0, 0.01)
+@pytest.mark.parametrize("period", [0.3, 0.0782])
+def test_measured_tensions_tell_of_commands_read_at_a_beat(period):
+    t = np.arange(0.0, 12.0, 0.01)
     command = np.stack([5 + 2 * np.sin(2.0 * t), 5 + 2 * np.sin(2.0 * t + 1)], axis=1)
-    held = command[np.searchsorted(t, np.floor(t / beat + 1e-9) * beat, side="right") - 1]
+    command += np.sin(4.0 * t + np.arange(2)[:, None]).T * (period < 0.2)
+    held = command[np.searchsorted(t, np.floor(t / period + 1e-9) * period, side="right") - 1]
     value = held + 0.01 * np.random.default_rng(1).standard_normal(held.shape)
     run = SimpleNamespace(signals={"tendons": SimpleNamespace(t=t, value=value)})
     given = {"t": t, "y": np.zeros((len(t), 1)), "input_t": t, "tendons": command, "vacuum": 0.0 * t, "hold": False}
@@ -119,8 +143,8 @@ def test_measured_tensions_tell_of_commands_read_at_a_beat():
     (tension,) = look([motion], [REGISTRY["actuator_delay"], REGISTRY["actuator_lag"]], robot(2)).channels
     assert tension.best == "actuator_delay" and tension.left["actuator_lag"] > 0.15
     assert tension.left["actuator_delay"] < 0.5 * tension.left["actuator_lag"]
-    assert tension.values["actuator_delay"]["reset_s"] == pytest.approx(beat, rel=0.01)
-    assert tension.values["actuator_delay"]["delay_seconds"] == pytest.approx(beat / 2, rel=0.1)
+    assert tension.values["actuator_delay"]["reset_s"] == pytest.approx(period, rel=0.01)
+    assert tension.values["actuator_delay"]["delay_seconds"] == pytest.approx(period / 2, rel=0.15)
 
 
 def test_a_measured_line_hears_a_bias_that_begins_with_the_wear():
