@@ -248,11 +248,12 @@ SLOW_HZ, STANDS_OUT = 1.0, 25.0
 they have at a faster one that is heard, as chance does not make."""
 
 
-GROSS, RARE, STEPS, OWN, FASTEST = 30.0, 0.01, 60.0, 0.3, 0.45
+GROSS, RARE, STEPS, OWN, FASTEST, FASTEST_HZ = 30.0, 0.01, 60.0, 0.3, 0.45, 50.0
 """Squares of jumps beyond so many times their median, or a hundredth of their mean, count as that; how much louder than
 beside it a beat of them is that is heard, and how much of that commands may have themselves; and the fastest one, as a
-share of the samples' rate."""
+share of the samples' rate and in all."""
 OVERTONES = (1, 2, 3, 4, 5)
+"""Of a beat, itself the first, by which it is told from others."""
 
 
 def clock_of(found: Estimate) -> dict[str, float]:
@@ -278,11 +279,10 @@ def beat(t: np.ndarray, x: np.ndarray, commanded: np.ndarray, run: np.ndarray) -
     later = np.flatnonzero(run[1:] == run[:-1]) + 1
     if not len(later):
         return None
-    middle, every = 0.5 * (t[later] + t[later - 1]), float(np.median(t[later] - t[later - 1]))
-    hz = np.arange(2 * AROUND, int(FASTEST / every / BEAT_HZ)) * BEAT_HZ
+    middle, every = 0.5 * (t[later] + t[later - 1]), max(float(np.median(t[later] - t[later - 1])), 1e-6)
+    hz = np.arange(2 * AROUND, int(min(FASTEST / every, FASTEST_HZ) / BEAT_HZ)) * BEAT_HZ
     if len(hz) < 4 * AROUND:
         return None
-
     jumps = [(signal[later] - signal[later - 1]) ** 2 for signal in (x, commanded)]
     gross = GROSS * np.maximum(np.median(jumps[0], axis=0), RARE * np.mean(jumps[0], axis=0))
 
