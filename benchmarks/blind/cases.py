@@ -96,6 +96,34 @@ def small_set(seed: int) -> list[Case]:
     return out
 
 
+def on_purpose(what: str, number: int, seed: int) -> Case:
+    """The case that `what` asks for: cause:shape, or cause:shape:small, or two of them joined by + (a pair).
+
+    Shapes are counted from 0, as in `causes.py`. The case's own seed is the first, from `seed` and `number` on, of
+    which the causes come in these shapes. Raises ValueError with a line that says what is wrong.
+    """
+    parts = [part.split(":") for part in what.split("+")]
+    names, shapes = tuple(part[0] for part in parts), []
+    for part in parts:
+        if part[0] not in CAUSES:
+            raise ValueError(f"{part[0]}: no cause of this name; the names are those of causes.py")
+        most = len(CAUSES[part[0]].shapes) - 1
+        if len(part) < 2 or not part[1].isdigit() or int(part[1]) > most:
+            raise ValueError(f"{':'.join(part)}: expected {part[0]}:SHAPE, a shape from 0 to {most}")
+        shapes.append(int(part[1]))
+    sizes = {size for part in parts for size in part[2:]}
+    outside = [CAUSES[name].block is None for name in names]
+    kind = "pairs" if len(names) == 2 else "unlisted" if outside[0] else "effects"
+    if len(names) > 2 or len(set(names)) < len(names) or (any(outside) and kind == "pairs"):
+        raise ValueError(f"{what}: expected one cause, or two different ones that the library has")
+    if sizes - {"small", "large"} or len(sizes) > 1 or (sizes and kind != "effects"):
+        raise ValueError(f"{what}: a size is small or large, and only of one effect by itself")
+    own = (seed * 1000 + number) * 1000
+    while [_form(own, 0, place, name) for place, name in enumerate(names)] != shapes:
+        own += 1
+    return Case(f"case-{number:03d}", kind, names, (sizes or {"large"}).pop() if kind == "effects" else "", own)
+
+
 def make(case: Case, folder: Path) -> None:
     """Write FOLDER/cases/ID (logs, nominal model, hash) and FOLDER/sealed/ID (label, truth: two unseen runs)."""
     public, sealed = folder / "cases" / case.case_id, folder / "sealed" / case.case_id
@@ -175,7 +203,7 @@ def planted(case: Case, attempt: int) -> Planted:
     for name in case.causes:
         cause = CAUSES[name]
         way = float(rng.choice([-1, 1])) if cause.signed else 1.0
-        form = int(np.random.default_rng([case.seed, 3, attempt, len(causes)]).integers(len(cause.shapes)))
+        form = _form(case.seed, attempt, len(causes), name)
         shape = cause.shapes[form]
         numbers = shape.numbers(rng, setting)
 
@@ -188,6 +216,11 @@ def planted(case: Case, attempt: int) -> Planted:
         causes |= {name: list(at(strength)[name])}
         reached = min(reached, gap)
     return robot, runs, causes, float(reached), float(asked)
+
+
+def _form(seed: int, attempt: int, place: int, name: str) -> int:
+    """Which of its shapes a case's cause takes."""
+    return int(np.random.default_rng([seed, 3, attempt, place]).integers(len(CAUSES[name].shapes)))
 
 
 def _sized(rng: np.random.Generator, ids: Sequence[str]) -> list[tuple[tuple[str, ...], str]]:

@@ -196,6 +196,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/blind"))
     parser.add_argument("--cases", default="all", help="how many (kinds take turns), `small` for a set of six, or all")
     parser.add_argument("--case", default="", metavar="CASE,…", help="these cases only, to ask again")
+    parser.add_argument(
+        "--made", default="", metavar="CAUSE:SHAPE[:small],…", help="robots made on purpose instead; + joins a pair"
+    )
     parser.add_argument("--only", default="", help=f"kinds, with commas: {', '.join(cases.KINDS)}; or small")
     parser.add_argument("--jobs", type=int, default=1, help="diagnoses side by side")
     parser.add_argument("--seed", type=int, default=0)
@@ -213,6 +216,15 @@ def main() -> None:
             parser.error(f"--cases {given.cases}: expected a whole number, small or all")
         chosen = cases.catalogue(given.seed, kinds, None if given.cases == "all" else int(given.cases))
     out = given.out / f"seed-{given.seed}"
+    if given.made:
+        if given.page:
+            parser.error("--page keeps what was drawn; what is made on purpose is not")
+        try:
+            made = enumerate(given.made.split(","))
+            chosen = [cases.on_purpose(what, number, given.seed) for number, what in made]
+        except ValueError as error:
+            parser.error(f"--made {error}")
+        out = given.out / f"made-{given.seed}"
     if named := given.case or given.time:
         ids = named.split(",")
         if unknown := set(ids) - {c.case_id for c in chosen}:

@@ -168,6 +168,27 @@ def test_every_shape_of_every_cause_changes_what_the_camera_sees_and_vanishes_at
             assert session != plant.session or len(changes) == len(causes.CAUSES[name].shapes)  # no two the same
 
 
+def test_a_robot_made_on_purpose_has_the_causes_and_shapes_asked_for(monkeypatch):
+    monkeypatch.setattr(cases, "SECONDS", 2.0)
+    case = cases.on_purpose("actuator_delay:2+base_tilt:1", 3, SEED)
+    _, _, planted, reached, asked = cases.planted(case, 0)
+    assert {name: plant.form(x) for name, x in planted.items()} == {"actuator_delay": 2, "base_tilt": 1}
+    assert case.kind == "pairs" and reached == pytest.approx(asked, rel=0.15)
+    assert cases.on_purpose("actuator_delay:2+base_tilt:1", 3, SEED) == case != cases.on_purpose("contact:0", 3, SEED)
+    for what, size in (("contact:1", "large"), ("contact:1:small", "small"), ("dropout:0", "")):
+        assert cases.on_purpose(what, 0, SEED).size == size
+    for wrong, line in (
+        ("friction:0", "friction: no cause"),
+        ("contact:9", "a shape from 0 to"),
+        ("contact", "expected contact:SHAPE"),
+        ("contact:0:huge", "small or large"),
+        ("contact:0:small+base_tilt:0", "only of one effect"),
+        ("contact:0+dropout:0", "two different ones that the library has"),
+    ):
+        with pytest.raises(ValueError, match=line):
+            cases.on_purpose(wrong, 0, SEED)
+
+
 def test_one_robot_from_the_draw_to_the_scoreboard(tmp_path, monkeypatch):
     """The first large effect of a seed, in shorter runs; the command in a process of its own."""
     monkeypatch.setattr(cases, "SECONDS", 5.0)
