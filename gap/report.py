@@ -15,7 +15,7 @@ from ljjax.gap.result import LAST, Diagnosis, Region
 from ljjax.gap.static_figures import plain
 from ljjax.gap.story import Course, Story, assumed, cards, degrees, headline, percent
 from ljjax.model import get
-from ljjax.page import number
+from ljjax.page import estimate, number
 
 DRAWN, ROWS, LEADERS, CLOSERS, FIRST = 8, 24, 7, 10, 8
 """At most: runs overlaid, timelines drawn, effects compared by their traces and by what they close; rows of the
@@ -152,7 +152,7 @@ def _candidates(story: Story, result: Diagnosis) -> str:
         closed = closed if f.id in story.found.single or closed == "–" else f"≤ {closed}"
         chance = "–" if f.p_value is None else ("&lt; 0.001" if f.p_value < 1e-3 else number(f.p_value, 2))
         values = "<br>".join(
-            f"<code>{escape(n)}</code> {number(p['value'])} ± {number(p['sd'], 2)} {_unit(p['unit'])}"
+            f"<code>{escape(n)}</code> {estimate(p['value'], p['sd'])} {_unit(p['unit'])}"
             for n, p in f.parameters.items()
         )
         mark = ' <span class="good">selected</span>' if f.id in result.selected else ""

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ljjax.gap.result import LAST, Diagnosis
-from ljjax.page import number
+from ljjax.page import estimate, number
 
 SHOWN, LEAST = 6, 0.005
 """How many candidates are shown at most, and from which probability."""
@@ -49,9 +49,7 @@ def show(found: Diagnosis, out: Path, console: Console | None = None) -> None:
     for name in ("candidate", "probability", "closes", "parameters"):
         table.add_column(name, justify="right" if name in ("probability", "closes") else "left")
     for f in [f for f in found.effects[:SHOWN] if f.probability >= LEAST]:
-        values = ", ".join(
-            f"{n} {number(p['value'])} ± {number(p['sd'], 2)} {p['unit']}" for n, p in f.parameters.items()
-        )
+        values = ", ".join(f"{n} {estimate(p['value'], p['sd'])} {p['unit']}" for n, p in f.parameters.items())
         closes = "" if f.closed_fraction is None or f.id in LAST else f"{100 * f.closed_fraction:z.0f} %"
         table.add_row(f.id, f"{f.probability:.2f}", closes, values)
     console.print(table)

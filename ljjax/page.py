@@ -128,3 +128,9 @@ def number(x: float | None, digits: int = 3) -> str:
     if x is None:
         return "–"
     return f"{x:.{digits}g}" if x == 0 or 1e-4 <= abs(x) < 1e5 else f"{x:.{digits - 1}e}"
+
+
+def estimate(x: float, sd: float | None) -> str:
+    """An estimate with its standard deviation, for people; what is nothing beside that reads 0."""
+    nothing = sd is not None and abs(x) < 1e-3 * sd
+    return f"{number(0.0 if nothing else x)} ± {number(sd, 2)}"

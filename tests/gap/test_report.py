@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ljjax import effects
+from ljjax import effects, page
 from ljjax.data import OCTROBOT
 from ljjax.gap import report, where
 from ljjax.gap.answer import worse
@@ -153,6 +153,11 @@ def test_the_page_says_what_gap_json_says(told):
         assert said in text, said
     titles = re.findall(r"<strong>([^<]*), ((?:not )?fitted).</strong>", page)
     assert titles[0] == ("unseen", "not fitted") and ("run-2", "fitted") in titles
+
+
+def test_an_estimate_that_is_nothing_beside_its_deviation_reads_0():
+    assert page.estimate(5.4e-21, 9.3e-5) == "0 ± 9.3e-05"
+    assert [page.estimate(-0.0612, 0.0017), page.estimate(2e-5, None)] == ["-0.0612 ± 0.0017", "2.00e-05 ± –"]
 
 
 def test_what_logs_and_options_say_is_escaped(told):
