@@ -158,6 +158,7 @@ class Program:
         of what is given: (i, W), (i, K, W) and, drives, (i, steps, W); states and their derivatives are replaced by the
         last ones. W a multiple of `LANES`."""
         (ways, lanes), steps = slope.shape[1:], drive.shape[1]
+        assert lanes % LANES == 0
         y, yt = (np.empty((self.count, *k, room + steps, lanes), np.float32) for k in ((), (ways,)))
         arrays = value, slope, drive, state, state_slope, y, yt
         if self.window(lanes, steps, ways, room, *(x.ctypes.data_as(ctypes.c_void_p) for x in arrays)):

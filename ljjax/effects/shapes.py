@@ -15,6 +15,8 @@ Vector = tuple[Array, ...]
 SHORT_S = 1e-6
 STEEP = 0.97
 NEAR_ONE, LEAST_LEFT = 0.02, 1e-6
+TINY = 1e-12
+"""What is as good as 0: a lag leaves ever smaller numbers, whose inverse, in a derivative, would be infinite."""
 
 
 def positive(x: Array) -> Array:
@@ -30,14 +32,14 @@ def power(x: Array, one: float, exponent: Array) -> Array:
 def saturated(x: Array, knee: Array, order: Array, edge: Array) -> Array:
     """y/(1 + y^edge)^(1/edge), y = (x/knee)^n, for x > 0, 0 below: Hill's curve for an edge of 1, and for larger ones
     y up to the knee and 1 beyond it."""
-    some = x > 0
+    some = x > TINY
     log_y = order * jnp.log(jnp.where(some, x, 1.0 + 0.0 * x) / knee)
     return jnp.where(some, jnp.exp(log_y - jnp.logaddexp(0.0 * log_y, edge * log_y) / edge), 0.0 * x)
 
 
 def bounded(x: Array, limit: Array, edge: Array) -> Array:
     """x₊ (1 + (x/limit)^edge)^(−1/edge): x below the limit and the limit beyond it, the sharper the larger the edge."""
-    some = x > 0
+    some = x > TINY
     over = jnp.log(jnp.where(some, x, 1.0 + 0.0 * x) / limit)
     return jnp.where(some, x * jnp.exp(-jnp.logaddexp(0.0 * over, edge * over) / edge), 0.0 * x)
 

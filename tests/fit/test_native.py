@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ljjax import effects
+from ljjax.effects.shapes import bounded, saturated
 from ljjax.fit import native
 from ljjax.fit.coordinates import Coordinates
 from ljjax.fit.dynamic import Search
@@ -93,6 +94,26 @@ def test_every_operation_and_its_derivative_is_that_of_xla():
     expected = jax.vmap(pushed, in_axes=(0, 0, 1, 1), out_axes=(0, 0, 0, 1))(x, y, dx, dy)[2:]
     for a, b in zip((row for rows in found for row in rows), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(a[..., 0, :], b, rtol=2e-5, atol=2e-5)
+
+
+@needs_cc
+def test_what_a_lag_has_all_but_vented_has_a_slope():
+    """C keeps numbers so small that their inverse is infinite, which XLA takes for 0."""
+    x = np.array([1e-40, 1e-39, 1e-38, 1e-30, 1e-20, 1e-12, 0.0, 1.0], np.float32)
+
+    def pushed(x, dx):
+        def both(x):
+            return saturated(x, 8.0, 1.0, 1.0), bounded(x, 8.0, 2.0)
+
+        values, slopes = jax.vmap(lambda a: jax.jvp(both, (x,), (a,)), out_axes=(None, 0))(dx)
+        return (), (), values, slopes
+
+    program = native.Program(pushed, ("value", "slope"), (0.0, 0.0))
+    dx, none, step = np.ones((1, 8), np.float32), np.zeros((0, 8), np.float32), np.zeros((1, 1, 8), np.float32)
+    values, slopes = program.run(native.rows(x), native.rows(dx), step, none, none)
+    np.testing.assert_allclose(np.squeeze(values), [x / (8 + x), x / np.sqrt(1 + (x / 8) ** 2)], rtol=1e-5, atol=1e-12)
+    assert np.all(np.isfinite(slopes))
+    np.testing.assert_allclose(np.squeeze(slopes)[:, -1], [8 / 81, (1 + 1 / 64) ** -1.5], rtol=1e-5)
 
 
 @needs_cc

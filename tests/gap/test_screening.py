@@ -13,7 +13,7 @@ from ljjax.effects import REGISTRY
 from ljjax.effects.varying import WAYS, varies, varying
 from ljjax.gap.candidates import Trial, either_side, pilots, sizes
 from ljjax.gap.channels import Channel, Fitted, Measured, _Inputs, look
-from ljjax.gap.screening import Column, Screen, beat, clock, waves
+from ljjax.gap.screening import Column, Screen, beat, clock, gather, waves
 from ljjax.gap.search import FIRST, Study, _best, needed, units
 from ljjax.gap.variation import Variation
 from tests.fit.test_dynamic import robot
@@ -84,6 +84,29 @@ def test_a_beat_is_heard_in_what_is_held_in_between(period, phase, late):
     assert beat(t[:2], later[:2], ask[:2], runs[1][:2]) is None
     both = np.tile(given(read), 2)[:, None]  # commanded at that beat, and followed
     assert beat(runs[0], both + noise, both, runs[1]) is None
+
+
+def test_an_effect_without_a_slope_somewhere_promises_nothing():
+    """It does not take the screen with it: the other effect's promise is that of a regression."""
+    rng = np.random.default_rng(0)
+    y, base, bad, good = rng.standard_normal((4, 90))
+    bad[7] = np.nan
+    run = np.repeat([0, 1, 2], 30)
+
+    def search(*columns: np.ndarray) -> Any:
+        jacobian = np.stack([*columns, np.zeros(90)], axis=-1)[:, None]  # the last is of the starting angle
+        return SimpleNamespace(
+            point=SimpleNamespace(answer=SimpleNamespace(jacobian=jacobian, predicted=np.zeros((90, 1)))),
+            windows=SimpleNamespace(y=y[:, None], sample_run=run),
+            _scale=lambda point: SimpleNamespace(weight=np.ones((90, 1)), sigma=np.ones(1)),
+            **{"sample_group": run, "groups": 3, "offset_sd": 1.0},
+        )
+
+    columns = [Column(i, 0, "size", -np.inf, np.inf, 1.0) for i in ("bad", "good")]
+    screen = gather([search(base), search(bad, good)], [columns], {})
+    assert screen.gains["bad", 0] == 0.0 and screen.steps["bad", 0] == {"size": 0.0}
+    x = np.linalg.lstsq(np.stack([base, good], axis=1), y)[0]
+    assert screen.steps["good", 0]["size"] == pytest.approx(x[1], rel=1e-2)
 
 
 def test_a_search_is_begun_to_either_side_of_nothing_where_there_are_two():
