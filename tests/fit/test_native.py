@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -101,9 +101,11 @@ def test_what_a_lag_has_all_but_vented_has_a_slope():
     """C keeps numbers so small that their inverse is infinite, which XLA takes for 0."""
     x = np.array([1e-40, 1e-39, 1e-38, 1e-30, 1e-20, 1e-12, 0.0, 1.0], np.float32)
 
+    knee, order, edge = cast(Any, (8.0, 1.0, 2.0))
+
     def pushed(x, dx):
         def both(x):
-            return saturated(x, 8.0, 1.0, 1.0), bounded(x, 8.0, 2.0)
+            return saturated(x, knee, order, order), bounded(x, knee, edge)
 
         values, slopes = jax.vmap(lambda a: jax.jvp(both, (x,), (a,)), out_axes=(None, 0))(dx)
         return (), (), values, slopes
