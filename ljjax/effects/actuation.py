@@ -67,15 +67,10 @@ class ActuatorDeadband(Effect):
         return tuple(jnp.where(t > 0, positive(x), x) for t, x in zip(u, left, strict=True)), memory
 
 
-CARRIED_N = 10.0
-"""The tension that, once it has been carried for long, makes all of a gain's error."""
-
-
 class ActuatorGain(Effect):
     """The torque constant or the spool's radius is wrong: (1 + (e ± d) (1 − s + s c) ± w q_Σ) T_cmd, each tendon with a
     motor of its own; w where what is wound up makes the spool wider, or narrower (q_Σ: by how much the tendon is wound
-    up). A share s of the error comes with what the motor has carried of late, as where its magnets warm:
-    τ ċ = (T/10 N)^p − c."""
+    up). A share s of the error comes after a run's start, as where drives warm: τ ċ = 1 − c, c = 0 at first."""
 
     id, block, axes = "actuator_gain", "actuation", ("load", "everywhere", "angle")
     error: jax.Array = parameter("1", 0.0, -0.6, 1.5, 0.1)
@@ -83,20 +78,16 @@ class ActuatorGain(Effect):
     winding: jax.Array = parameter("1/rad", 0.0, -1.0, 1.0, 0.1)
     warms: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     warms_s: jax.Array = shape("s", 5.0, 0.1, 200.0, (5.0,))
-    power: jax.Array = shape("1", 1.0, 0.0, 2.0, (1.0,))
 
     def start(self, now):
-        return tuple(0.0 * t for t in now.u)
+        return (0.0 * now.h,)
 
     def actuate(self, memory, u, now):
-        wound = self.winding * sum(now.middle)
-        errors = (self.error + self.difference, wound), (self.error - self.difference, -wound)
-        out, carried = [], []
-        for (error, more), t, c in zip(errors, u, memory, strict=True):
-            mean, end = lagged(power(t, CARRIED_N, self.power), c, self.warms_s, now.h)
-            out.append((1 + error * (1 - self.warms + self.warms * mean) + more) * t)
-            carried.append(end)
-        return tuple(out), tuple(carried)
+        mean, end = lagged(1.0 + 0.0 * now.h, memory[0], self.warms_s, now.h)
+        there, wound = 1 - self.warms * (1 - mean), self.winding * sum(now.middle)
+        apart = self.difference * there + wound
+        gains = 1 + self.error * there + apart, 1 + self.error * there - apart
+        return tuple(g * t for g, t in zip(gains, u, strict=True)), (end,)
 
 
 LEAST = 0.05
