@@ -262,9 +262,10 @@ class Selection:
             if len(found.best.ids) == 1 and share < NOTABLE:
                 more += self._promised()
             if len(found.best.ids) == 1 and share > PAIRS:
-                more += self._pairs(list(left.values()), hopeless=share > OFF)
+                leaders = sorted(left.values(), key=self.left)
+                more += self._pairs(leaders, hopeless=share > OFF)
                 if share < NOTABLE and not any(judge.pairs_worth(share, self.left(r), unit) for r in more):
-                    more += [r for r in self._beside(sorted(left.values(), key=self.left)) if self.left(r) < FURTHER]
+                    more += [r for r in self._beside(leaders) if self.left(r) < FURTHER]
             for r in more:
                 key = tuple(sorted(r.ids))
                 if key not in found.joint or r.total < found.joint[key].total:
