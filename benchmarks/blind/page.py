@@ -1,7 +1,6 @@
 """docs/blind.md and its pictures, from the answers kept in answered.json: `python -m benchmarks.blind.page`.
 
-Answers of several seeds count together, as long as the same diagnosis gave them: after a change to it begin anew, by
-deleting answered.json.
+It is of the seed asked last; all seeds kept, each as answered by the code of its day, are counted beside it.
 """
 
 from __future__ import annotations
@@ -31,6 +30,8 @@ this one have been opened, and where the diagnosis missed for want of a form it 
 nobody here has met.
 
 """
+GOALS = "goal", "asked", "reached", "95 %", "cases", ""
+BEFORE = """The {count} robots of seeds {seeds}, each as answered by the code of its day before its label was opened."""
 MARK = {True: "met", False: "**missed**", None: "no cases"}
 RIGHT = {True: "yes", False: "**no**", None: "–"}
 
@@ -47,30 +48,46 @@ def keep(found: Mapping[str, Any], command: str, kept: Path = KEPT) -> None:
 
 def write(kept: Path = KEPT, docs: Path = DOCS) -> None:
     """The page, its confusion matrix and its reliability diagram into the folder `docs`."""
-    rows = _rows(kept)
-    found = judge.scoreboard(rows, {f"{r['seed']}-{r['case']}": r["timing"] for r in rows if r["timing"]})
+    every = _rows(kept)
+    rows = [r for r in every if r["seed"] == every[-1]["seed"]]
+    found = _counted(rows)
     command = "\n".join(dict.fromkeys(r["command"] for r in rows))
     code = " and ".join(sorted({f"commit {r['code']}" for r in found["cases"]}))
     lines = [HEAD.format(count=len(found["cases"]), command=command, code=code)]
-    lines += _table(("goal", "asked", "reached", "95 %", "cases", ""), [_goal(r) for r in found["rows"]])
+    lines += _table(GOALS, [_goal(r) for r in found["rows"]])
     head = ("kind (see [beside the code](../benchmarks/blind/README.md))", "cases", "first answer right")
     kinds = [(kind, str(k["cases"]), f"{k['top_right']:.3g}") for kind, k in found["by_kind"].items() if k["cases"]]
     lines += _table(head, kinds)
-    c = found["calibration"]
-    if c["bins"]:
-        lines.append(
-            f"Calibration of the first answer's probability: expected calibration error {c['ece']:.3f}, where "
-            f"true probabilities would show {c['by_chance']:.3f} on average over so few cases; Brier score "
-            f"{c['brier']:.3f} over all answers.\n\n![Reliability](blind_reliability.png)\n\n"
-        )
+    if found["calibration"]["bins"]:
+        lines.append(f"{_calibration(found)}\n\n![Reliability](blind_reliability.png)\n\n")
         figures.reliability(found, docs / "blind_reliability.png")
     if found["confusion"]:
         lines.append("![Planted against first answer](blind_confusion.png)\n\n")
         figures.confusion(found, docs / "blind_confusion.png")
+    if len(rows) < len(every):
+        seeds = dict.fromkeys(str(r["seed"]) for r in every)
+        together = _counted(every)
+        lines.append(f"## With the seeds before it\n\n{BEFORE.format(count=len(every), seeds=', '.join(seeds))}\n\n")
+        lines += _table(GOALS, [_goal(r) for r in together["rows"]])
+        lines.append(f"{_calibration(together)}\n\n" if together["calibration"]["bins"] else "")
     lines.append("## Every case\n\n")
     head = ("planted", "gap ÷ noise", "verdict", "first", "selected", "right", "closed")
     lines += _table(head, [_case(r) for r in found["cases"]])
     (docs / "blind.md").write_text("".join(lines).rstrip() + "\n", encoding="utf-8")
+
+
+def _counted(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The scoreboard of rows, with the times measured of them."""
+    return judge.scoreboard(rows, {f"{r['seed']}-{r['case']}": r["timing"] for r in rows if r["timing"]})
+
+
+def _calibration(found: Mapping[str, Any]) -> str:
+    c = found["calibration"]
+    return (
+        f"Calibration of the first answer's probability: expected calibration error {c['ece']:.3f}, where "
+        f"true probabilities would show {c['by_chance']:.3f} on average over so few cases; Brier score "
+        f"{c['brier']:.3f} over all answers."
+    )
 
 
 def _rows(kept: Path) -> list[dict[str, Any]]:

@@ -204,7 +204,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-timing", action="store_true", help="leave out the comparison with the time of ljjax fit")
     parser.add_argument("--time", default="", metavar="CASE,…", help="do nothing but that comparison, for these cases")
-    parser.add_argument("--page", action="store_true", help="keep the answers, and write docs/blind.md from all kept")
+    parser.add_argument(
+        "--page", action="store_true", help="keep the answers and write docs/blind.md, beside those kept"
+    )
     given = parser.parse_args()
     if "small" in (given.cases, given.only):
         chosen = cases.small_set(given.seed)

@@ -129,13 +129,17 @@ def test_the_scoreboard_counts_and_the_page_shows_failures(tmp_path):
     assert "| effects | 2 | 0.5 |" in text and "| parameters | 1 | 0 |" in text
     assert text.count("| **no** |") == 3
     assert (tmp_path / "blind_confusion.png").exists() and (tmp_path / "blind_reliability.png").exists()
-    # another seed counts beside it, the same one again in its place
+    assert "## With the seeds before it" not in text
+    # another seed comes first, and counts together with the one before; the same one again in its place
     for _ in range(2):
         page.keep(judge.scoreboard(rows[:1], {"case-000": slow}) | {"seed": 2}, "make blind SEED=2", kept)
     page.write(kept, tmp_path)
     text = (tmp_path / "blind.md").read_text()
-    assert "| true cause ranked first | ≥ 0.90 | 0.667 | 0.21 – 0.94 | 3 | **missed** |" in text
-    assert "| ≤ 15 | 16 |  | 2 | **missed** |" in text and "make blind\nmake blind SEED=2\n" in text
+    first, together = text.split("## With the seeds before it")
+    assert "make blind SEED=2\n" in first and "make blind\n" not in first and "on 1 robots" in first
+    assert "| true cause ranked first | ≥ 0.90 | 1 |  | 1 | met |" in first and "seeds 1, 2," in together
+    assert "| true cause ranked first | ≥ 0.90 | 0.667 | 0.21 – 0.94 | 3 | **missed** |" in together
+    assert "| ≤ 15 | 16 |  | 2 | **missed** |" in together
 
 
 def test_the_published_page_is_what_the_kept_answers_give(tmp_path):
