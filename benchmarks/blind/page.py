@@ -76,7 +76,7 @@ def write(kept: Path = KEPT, docs: Path = DOCS) -> None:
     (docs / "blind.md").write_text("".join(lines).rstrip() + "\n", encoding="utf-8")
 
 
-def _counted(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _counted(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """The scoreboard of rows, with the times measured of them."""
     return judge.scoreboard(rows, {f"{r['seed']}-{r['case']}": r["timing"] for r in rows if r["timing"]})
 
