@@ -211,18 +211,18 @@ class ActuatorRipple(Effect):
         return tuple(out), memory
 
 
-PAYS_OUT_S, EDGE, FEELS_S, WOUND_N = 0.1, 0.2, 0.005, 10.0
-"""In what time a slack tendon pays out all its slack; the share of the tension at which it begins to over which both
-rates change; the slack over which what the body feels of a slack tendon vanishes [s]; the tension that winds at the
-stated rate [N]."""
+PAYS_OUT_S, EDGE, WOUND_N = 0.1, 0.2, 10.0
+"""In what time a slack tendon pays out all its slack; the share of the tension at which it begins to over which that
+rate changes; the tension that winds at the stated rate [N]."""
 
 
 class TendonSlack(Effect):
     """Backlash between spool and body: each tendon's tension passes a play of half-width w (1 ± d) of its own, and
     their difference one of half-width w_d. And below the tension T_s a tendon goes slack, within tenths of a second by
-    what takes l (1 ± d) to wind up at 10 N, at other tensions √(T/10 N) as fast; until then the body feels nothing.
-    Cable that the body lets go of by bending to the tendon's side is slack too, f a radian, half of it at T_s, and is
-    taken up by bending back."""
+    what takes l (1 ± d) to wind up at 10 N, at other tensions in proportion to T/(T + T_w), as a motor's speed; of what
+    is slack by s the body feels T exp(−s/τ), as cable tightens little by little. Cable that the body lets go of by
+    bending to the tendon's side is slack too, f a radian, half of it at T_s, up to m (1 ± d), and is taken up by
+    bending back."""
 
     id, block, axes = "tendon_slack", "actuation", ("direction", "load", "rate")
     width_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.5)
@@ -230,6 +230,9 @@ class TendonSlack(Effect):
     slack_s: jax.Array = parameter("s", 0.0, 0.0, 2.0, 0.02)
     slack_n: jax.Array = shape("N", 1.0, 0.05, 20.0, (1.0, 3.0))
     freed: jax.Array = parameter("s/rad", 0.0, 0.0, 5.0, 0.05)
+    most_s: jax.Array = shape("s", 2.0, 0.001, 2.0, (0.1,))
+    feels_s: jax.Array = shape("s", 0.005, 1e-4, 0.5, (0.02,))
+    winds_n: jax.Array = shape("N", 5.0, 0.01, 100.0, (3.0,))
     difference: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
     def _shares(self):
@@ -243,20 +246,27 @@ class TendonSlack(Effect):
         plays = tuple((x, 0.0 * x) for x in (*now.u, now.u[0] - now.u[1]))
         return (*plays, *(s * self.slack_s * self._slack(x) for s, x in zip(self._shares(), now.u, strict=True)))
 
+    def _felt(self, held: jax.Array, wound: jax.Array, rest: jax.Array) -> jax.Array:
+        """The mean over a step of exp(−s/τ), s wound up by so much from what is held, but no further than to rest."""
+        some = wound > 1e-3 * self.feels_s
+        by, before = jnp.where(some, wound, 1.0 + 0.0 * wound), jnp.exp(-held / self.feels_s)
+        down = rest + positive(held - by - rest)
+        after = jnp.exp(-down / self.feels_s)
+        over = (1 - (held - down) / by) * after + self.feels_s / by * (after - before)
+        return jnp.where(some & (held > rest), over, before)
+
     def actuate(self, memory, u, now):
         *plays, left, right = memory
         taut, slack, bends = [], [], sum(now.v)
         for x, share, held, rate in zip(u, self._shares(), (left, right), (bends, -bends), strict=True):
             free = now.h * self.freed * jnp.where(rate > 0, rate / (1 + (x / self.slack_n) ** 2), rate)
-            held = jnp.where((held > 0) | (rate > 0), jnp.maximum(held + free, 0.0), 0.0 * held)
-            loose, winds = self._slack(x), x > self.slack_n
-            wound = now.h * (1 - loose) * power(x, WOUND_N, jnp.asarray(0.5))
-            most, paid = share * self.slack_s, now.h / PAYS_OUT_S * loose * share * self.slack_s
-            some, loosed = held > wound, jnp.where(held + paid >= most, jnp.maximum(held, most), held + paid)
-            taut.append(
-                jnp.where(winds, jnp.where(some, 0.0 * x, x * (1 - held / wound)), x * jnp.exp(-held / FEELS_S))
-            )
-            slack.append(jnp.where(winds, jnp.where(some, held - wound, 0.0 * held), loosed))
+            let, most = held + free, jnp.maximum(held, share * self.most_s)
+            held = jnp.where(((held > 0) | (rate > 0)) & (let >= 0), jnp.minimum(let, most), 0.0 * held)
+            rest = jnp.where(x > self.slack_n, 0.0 * x, share * self.slack_s)
+            wound = now.h * positive(x) / (positive(x) + self.winds_n) * (1 + self.winds_n / WOUND_N)
+            paid = now.h / PAYS_OUT_S * self._slack(x) * share * self.slack_s
+            taut.append(x * self._felt(held, wound, rest))
+            slack.append(jnp.where(held > rest, rest + positive(held - wound - rest), jnp.minimum(held + paid, rest)))
         passed = zip(taut, self._shares(), plays[:2], strict=True)
         (one, first), (two, second) = (play(x, s * self.width_n, m) for x, s, m in passed)
         net, third = play(one - two, self.net_n, plays[2])
