@@ -228,12 +228,15 @@ class Study:
         return first
 
     def weeded(self, like: Model, trials: Sequence[Trial], screen: Screen, stage: str) -> list[Refit]:
-        """The third of many trials that leave least, refitted from the model `like` by the screen's derivatives of
-        the base: those that fall behind in the first iterations go no further."""
+        """The ninth of many trials that leave least, refitted from the model `like`: two thirds that fall behind in the
+        first iterations, by the screen's derivatives of the base, go no further, nor two thirds of the rest in the
+        next; the last ones go on by derivatives of their own, as the way from there may be long."""
         borrowed = screen.base_jacobian[..., : len(self.names)]
-        first = self._refit([self._begun(like, t) for t in trials], trials, {}, SOON, stage, borrowed)
-        best = sorted(first, key=lambda r: r.total)[: -(-len(first) // 3)]
-        return self._refit([r.model for r in best], [r.trial for r in best], {}, FIRST - SOON, stage, borrowed)
+        best = self._refit([self._begun(like, t) for t in trials], trials, {}, SOON, stage, borrowed)
+        for iterations, slopes in ((FIRST - SOON, borrowed), (LAST, None)):
+            best = sorted(best, key=lambda r: r.total)[: -(-len(best) // 3)]
+            best = self._refit([r.model for r in best], [r.trial for r in best], {}, iterations, stage, slopes)
+        return best
 
     def of(self, runs: Sequence[int]) -> Study:
         """The study of some of its runs, residuals in the same unit."""
@@ -320,7 +323,7 @@ class Study:
         if forms_of is None:
             span, waves = {**self.span, **screening.clock_of(from_.estimate)}, screening.waves(from_.estimate)
             forms_of = partial(pilots, span=span, waves=waves)
-        names, whole = [*self.names, *chosen], self._whole(from_.model)
+        names, whole = [*self.names, *chosen], self._begun(from_.model, from_.trial)
         asked, said, forms = screening.screen(whole, names, self.kinds, self.motions, self.pressure, QUICK, forms_of)
         found = together(asked, self._tell("screening"))
         for f in found:

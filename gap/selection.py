@@ -14,7 +14,7 @@ from ljjax.gap.candidates import CAUTIOUS, Trial, cautious, either_side, path
 from ljjax.gap.channels import Measured
 from ljjax.gap.screening import Screen, ahead
 from ljjax.gap.search import Refit, Study
-from ljjax.gap.variation import FURTHER, Variation
+from ljjax.gap.variation import FURTHER, VARIED, Variation
 
 LEADERS, FEW, SECOND, MOST = 12, 4, 5, 3
 """How many candidates are refitted alone, how many where chance promises as much as they do, how many with those found
@@ -27,7 +27,8 @@ WIDE, FORMS, NEAR, NEARER = 6, 6, 4.0, 0.3
 """How many leaders are wherever there is a gap; in all their forms, if they have no more than that; and taken further
 where they come within so many times the least loss, or leave no more than this share of the gap."""
 WELL, ANEW = 0.05, 3
-"""Where the best leaves more than this share of the gap, how many of them are begun at the given model once more."""
+"""Where the best, alone or of two, leaves more than this share of the gap, more is tried; how many of the best are
+begun at the given model once more."""
 HEARD = 3
 """How many effects that measured inputs show are begun as they show there."""
 ALIKE = 0.005
@@ -249,8 +250,9 @@ class Selection:
             left.setdefault(r.ids[0], r)
         if not left:
             raise FloatingPointError("no candidate simulates on these runs")
+        variation = Variation(self.study, self.base, self.screen, self.left, self.gap)
         if self.excess > judge.OPEN * self.floor:
-            Variation(self.study, self.base, self.screen, self.left, self.gap).let(left)
+            variation.let(left)
         found = Found(left, {}, min(left.values(), key=self.left))
         unit = self.unit_of(found.best)
         matters = self.excess > judge.MATTERS * self.floor  # else none is named, whatever several would explain
@@ -261,11 +263,12 @@ class Selection:
             more = self._further(found.best, unit) if share < NOTABLE else []
             if len(found.best.ids) == 1 and share < NOTABLE:
                 more += self._promised()
+            leaders = sorted(left.values(), key=self.left)
             if len(found.best.ids) == 1 and share > PAIRS:
-                leaders = sorted(left.values(), key=self.left)
                 more += self._pairs(leaders, hopeless=share > OFF)
-                if share < NOTABLE and not any(judge.pairs_worth(share, self.left(r), unit) for r in more):
-                    more += [r for r in self._beside(leaders) if self.left(r) < FURTHER]
+            if len(found.best.ids) == 1 and share < NOTABLE and min(map(self.left, more), default=1.0) > WELL:
+                plain = [variation.plain.get(r.ids[0], r) for r in leaders]
+                more += [r for r in self._beside(plain) if self.left(r) < FURTHER]
             for r in more:
                 key = tuple(sorted(r.ids))
                 if key not in found.joint or r.total < found.joint[key].total:
@@ -323,7 +326,8 @@ class Selection:
     def _beside(self, singles: Sequence[Refit]) -> list[Refit]:
         """Every other effect beside each of the first `EVERY` in turn, until that explains the runs, from the given
         model, on few runs first: what the base's refit was bent to with one effect can hide the other from the screen,
-        and lead it astray; and one of two may leave more by itself than a stand-in for both."""
+        and lead it astray; one that varies may do the other's part by that; and one of two may leave more by itself
+        than a stand-in for both."""
         screen, out = self._from_given, list[Refit]()
         if screen is None:
             return out
@@ -331,7 +335,7 @@ class Selection:
             others = [t for i in screen.ids if i not in one.ids for t in self._either_side(screen, screen.best(i))]
             both = [Trial((*one.ids, *t.ids), {**one.free_effects, **t.start}) for t in others]
             out += self._on_few(both, [one], "every second effect", finish=2)
-            if any(self.left(r) < FURTHER for r in out):
+            if any(self.left(r) < VARIED for r in out):
                 break
         return out
 

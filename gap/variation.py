@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -41,6 +41,7 @@ class Variation:
         base, screen: refitted without an effect, and what is promised on top of it.
         left: the share of the gap that a refit leaves.
         gap: the loss that such shares are of.
+        plain: of effects that stay varying, those found before they were free to vary with what acts on them too.
     """
 
     study: Study
@@ -48,6 +49,7 @@ class Variation:
     screen: Screen
     left: Callable[[Refit], float]
     gap: float
+    plain: dict[str, Refit] = field(default_factory=dict)
 
     def let(self, single: dict[str, Refit]) -> None:
         """The best effects once more, free to vary in strength with what acts on them, where they leave much: a true
@@ -64,6 +66,7 @@ class Variation:
         better = self._better(single, varied)
         if kept := {i: r for i, r in better.items() if self._left_out(r) < self._left_out(single[i])}:
             self.study.kinds = self._free({i: kinds[i] for i in kept}).kinds
+            self.plain |= {i: single[i] for i in kept}
             single |= kept
         if self._unexplained(single):
             begun = onsets(self.study.span["slip"], ONSETS)
@@ -141,7 +144,7 @@ class Variation:
         stage = "effects that change from run to run"
         found = free.refit(self.base.model, trials, None, stage=stage, finish=VARYING)
         found += free.refit(self.study.start, trials, None, stage=f"{stage}, from the given model", finish=VARYING)
-        self._keep(single, found, kinds, stage)
+        self.plain |= self._keep(single, found, kinds, stage)
 
     def _screened(
         self, kinds: Mapping[str, type[Effect]], pilots: Callable[[type[Effect]], list[dict[str, float]]]
@@ -156,11 +159,12 @@ class Variation:
 
     def _keep(
         self, single: dict[str, Refit], found: Sequence[Refit], kinds: Mapping[str, type[Effect]], stage: str
-    ) -> None:
-        """Of effects found to vary those that leave notably less stay so, and are taken further."""
+    ) -> dict[str, Refit]:
+        """Of effects found to vary those that leave notably less stay so, and are taken further; as they were found."""
         if kept := self._better(single, found):
             self.study.kinds = self._free({i: kinds[i] for i in kept}).kinds
             single |= self._better(single, self.study.varied(list(kept.values()), f"{stage}, once more"))
+        return kept
 
     def _free(self, kinds: Mapping[str, type[Effect]]) -> Study:
         """The study with these effects in place of those of the same ids."""

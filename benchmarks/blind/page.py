@@ -49,6 +49,8 @@ def keep(found: Mapping[str, Any], command: str, kept: Path = KEPT) -> None:
 def write(kept: Path = KEPT, docs: Path = DOCS) -> None:
     """The page, its confusion matrix and its reliability diagram into the folder `docs`."""
     every = _rows(kept)
+    if not every:
+        raise SystemExit(f"{kept}: holds no answers; python -m benchmarks.blind.study --page keeps those it gets")
     rows = [r for r in every if r["seed"] == every[-1]["seed"]]
     found = _counted(rows)
     command = "\n".join(dict.fromkeys(r["command"] for r in rows))

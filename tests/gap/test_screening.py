@@ -300,10 +300,12 @@ def test_what_a_measured_tension_does_show_hides_nothing_that_it_does_not(real):
 def test_of_many_trials_those_that_fall_behind_go_no_further():
     trials = [Trial(("contact",), {"effects.contact.k": float(k)}) for k in range(7)]
     asked: list[tuple[list[Any], list[Trial], int]] = []
+    own: list[bool] = []
 
     class Told(Study):
         def _refit(self, begun, trials, steps, iterations, stage, borrowed=None) -> list[Any]:
             asked.append((list(begun), list(trials), iterations))
+            own.append(borrowed is None)
             return [SimpleNamespace(trial=t, model=("after", t), total=-t.start["effects.contact.k"]) for t in trials]
 
         def _begun(self, like, trial):
@@ -311,10 +313,11 @@ def test_of_many_trials_those_that_fall_behind_go_no_further():
 
     any_: Any = SimpleNamespace(base_jacobian=np.zeros((2, 1, 4)))
     found = Told(any_, ("a",), [REGISTRY["contact"]], (), 0.0, {}).weeded(any_, trials, any_, "few runs")
-    first, then = asked
-    assert first[1] == trials and first[2] + then[2] == FIRST
-    assert then[1] == trials[:3:-1] and then[0] == [("after", t) for t in then[1]]  # from where they had come to
-    assert [r.trial for r in found] == then[1]
+    first, then, last = asked
+    assert first[1] == trials and first[2] + then[2] == FIRST and own == [False, False, True]
+    assert then[1] == trials[:3:-1] and last[1] == then[1][:1]
+    assert all(a[0] == [("after", t) for t in a[1]] for a in (then, last))  # from where they had come to
+    assert [r.trial for r in found] == last[1]
 
 
 @pytest.mark.parametrize(

@@ -126,11 +126,11 @@ def test_no_gap_is_unexplained_before_every_effect_has_been_tried():
     assert cause not in tried(first)[1]  # what explains the runs at once leaves the rest untried
 
 
-@pytest.mark.parametrize("leaves, kept", [(0.05, True), (0.2, False)])
-def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_from_the_given_model(
-    leaves, kept, monkeypatch
+@pytest.mark.parametrize("alone, leaves, kept", [(0.4, 0.05, True), (0.4, 0.2, False), (0.2, 0.01, True)])
+def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_as_it_was_before_it_varied(
+    alone, leaves, kept, monkeypatch
 ):
-    monkeypatch.setattr(Variation, "let", lambda self, single: None)
+    """From the given model: the first does the second's part by varying, and bends the base to do it."""
     kinds = list(REGISTRY.values())
     begun: list[Trial] = []
 
@@ -138,7 +138,9 @@ def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_from_
         more: Any = {"fitted": (), "free_effects": trial.start, "scatter": NO_SCATTER}
         return SimpleNamespace(trial=trial, ids=trial.ids, total=100 + 900 * left, **more)
 
-    first = refitted(Trial(("contact",), {"effects.contact.stop": 7.0}), 0.4)
+    plain = refitted(Trial(("contact",), {"effects.contact.stop": 7.0}), 1.2 * alone)
+    first = refitted(Trial(("contact",), {"effects.contact.stop": 3.0, "effects.contact.by_bend": 2.0}), alone)
+    monkeypatch.setattr(Variation, "let", lambda self, single: self.plain.update(contact=plain))
 
     def few(trials, found, stage, finish) -> list[Any]:
         begun.extend(trials)
@@ -148,7 +150,7 @@ def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_from_
     selection.floor, selection.excess, selection.measured = 100.0, 900.0, Measured([])
     selection.left = lambda refit: (refit.total - 100) / 900
     selection.unit_of = lambda refit: 1e-4
-    selection._further = lambda best, unit: [refitted(Trial(("contact", "base_tilt")), 0.38)]
+    selection._further = lambda best, unit: [refitted(Trial(("contact", "base_tilt")), 0.95 * alone)]
     selection._pairs = lambda singles, hopeless: []
     selection._promised = lambda: []
     selection._prune = selection._exchange = lambda *_: None
