@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from ljjax.effect import Effect
+from ljjax.effects.varying import EACH
 from ljjax.gap import judge, screening
 from ljjax.gap.candidates import CAUTIOUS, Trial, cautious, either_side, path
 from ljjax.gap.channels import Measured
 from ljjax.gap.screening import Screen, ahead
 from ljjax.gap.search import Refit, Study
-from ljjax.gap.variation import FURTHER, VARIED, Variation
+from ljjax.gap.variation import FURTHER, VARIED, Variation, anchored, freely, level, shares_of
 
 LEADERS, FEW, SECOND, MOST = 12, 4, 5, 3
 """How many candidates are refitted alone, how many where chance promises as much as they do, how many with those found
@@ -23,7 +24,7 @@ TELLING, NOTABLE = 2, 0.9
 """On how many runs, those that show most of the gap, the effects not begun from the given model yet are begun there,
 where no other explains it, and pairs; and the share, of what the best so far leaves there, that one worth going on with
 leaves at most. An effect that leaves more than that of the whole gap is no ground to add a further one to."""
-WIDE, FORMS, NEAR, NEARER = 6, 6, 4.0, 0.3
+WIDE, FORMS, NEAR, NEARER = 6, 8, 4.0, 0.3
 """How many leaders are wherever there is a gap; in all their forms, if they have no more than that; and taken further
 where they come within so many times the least loss, or leave no more than this share of the gap."""
 WELL, ANEW = 0.05, 3
@@ -195,15 +196,24 @@ class Selection:
     def _on_few(self, trials: Sequence[Trial], found: Sequence[Refit], stage: str, finish: int) -> list[Refit]:
         """Trials begun at the given model on the few runs that show most of the gap; the best of those that leave
         notably less there than the best of `found`, refitted to all runs."""
-        screen = self._from_given
+        better = self._told_by_few(self.study, trials, found, stage)
+        return self.study.taken_over(better, f"{stage}, all runs", finish, further=2)
+
+    def _told_by_few(self, study: Study, trials: Sequence[Trial], found: Sequence[Refit], stage: str) -> list[Refit]:
+        """Of trials begun at the given model those that leave notably less than the best of `found` on the few runs
+        that show most of the gap, refitted to these."""
+        screen, runs = self._from_given, self._telling
         assert screen is not None
-        runs = np.sort(np.argsort(-self.base.loss)[:TELLING])
         mine = np.isin(self.given.estimate.windows.sample_run, runs)
         there = replace(screen, base_jacobian=screen.base_jacobian[mine])
-        begun = self.study.of(runs.tolist()).weeded(self.study.start, trials, there, f"{stage}, few runs")
+        begun = study.of(runs.tolist()).weeded(study.start, trials, there, f"{stage}, few runs")
         least = min((float(r.loss[runs].sum()) for r in found), default=np.inf)
-        better = [r for r in begun if r.total < NOTABLE * least]
-        return self.study.taken_over(better, f"{stage}, all runs", finish, further=2)
+        return [r for r in begun if r.total < NOTABLE * least]
+
+    @property
+    def _telling(self) -> np.ndarray:
+        """The few runs that show most of the gap, in order."""
+        return np.sort(np.argsort(-self.base.loss)[:TELLING])
 
     def _trials_around(self, screen: Screen, effect: str) -> list[Trial]:
         forms = [k for k in screen.forms if k[0] == effect]
@@ -269,6 +279,8 @@ class Selection:
             if len(found.best.ids) == 1 and share < NOTABLE and min(map(self.left, more), default=1.0) > WELL:
                 plain = [variation.plain.get(r.ids[0], r) for r in leaders]
                 more += [r for r in self._beside(plain) if self.left(r) < FURTHER]
+            if len(found.best.ids) == 1 and share < NOTABLE and min(map(self.left, more), default=1.0) > VARIED:
+                more += [r for r in self._mounted(variation, leaders, more) if self.left(r) < FURTHER]
             for r in more:
                 key = tuple(sorted(r.ids))
                 if key not in found.joint or r.total < found.joint[key].total:
@@ -338,6 +350,49 @@ class Selection:
             if any(self.left(r) < VARIED for r in out):
                 break
         return out
+
+    def _mounted(self, variation: Variation, leaders: Sequence[Refit], pairs: Sequence[Refit]) -> list[Refit]:
+        """What may be another effect in each run beside the two of the best pair so far, if that leaves little, and the
+        first leaders, as they were before they varied; from the given model, on few runs first, in the others then
+        begun between what it came to be there."""
+        screen, count = self._from_given, len(self.study.motions)
+        if screen is None or count <= TELLING:
+            return []
+        alone = {r.ids[0]: variation.plain.get(r.ids[0], r) for r in leaders}
+        best = min(pairs, key=self.left, default=None)
+        first = [i for i in best.ids if i in alone] if best and self.left(best) < FURTHER else []
+        kinds, out = variation.by_run(), list[Refit]()
+        study, known = variation.free(kinds), [int(r) for r in self._telling]
+        other = min(known, key=lambda r: self.base.loss[r])
+        for ground in [alone[i] for i in dict.fromkeys([*first, *alone])][:EVERY]:
+            both = [
+                Trial((*ground.ids, i), {**ground.free_effects, **t.start, path(kinds[i], EACH.format(other + 1)): 0.0})
+                for i in kinds
+                if i not in ground.ids
+                for t in self._either_side(screen, screen.best(i))
+            ]
+            few = self._told_by_few(study, both, [ground], "another in each run")
+            for r in sorted(few, key=lambda r: r.total)[:2]:
+                out += self._in_all_runs(study, kinds[r.ids[1]], r, known)
+            if any(self.left(r) < VARIED for r in out):
+                break
+        variation.keep({r.ids[1]: kinds[r.ids[1]] for r in out if self.left(r) < FURTHER})
+        return out
+
+    def _in_all_runs(self, study: Study, kind: type[Effect], refit: Refit, known: list[int]) -> list[Refit]:
+        """A refit to few runs with an effect that is another in each, refitted to all: its share in each free first,
+        then but for that in the run where it is largest, which its sizes are of."""
+        count = len(study.motions)
+        shares = np.interp(range(count), known, shares_of(kind, refit.free_effects, count)[known])
+        for free in (freely, anchored):
+            trial = Trial(refit.ids, free(kind, refit.free_effects, shares))
+            begun = level(kind, refit.model, count)
+            found = study.refit(begun, [trial], None, stage="another in each run, all runs")
+            if not found:
+                return []
+            (refit,) = found
+            shares = shares_of(kind, refit.free_effects, count)
+        return [refit]
 
     def _exchange(self, found: Found) -> None:
         """Each of several effects exchanged for those that promise most in its place, itself among them, as its form is

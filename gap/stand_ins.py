@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import lagged, positive, turned, wave
+from ljjax.effects.shapes import gone, lagged, positive, turned, wave
 from ljjax.gap.candidates import CAUTIOUS, cautious
 from ljjax.gap.search import Refit, Study
 
@@ -181,8 +181,7 @@ class AtOnce(Effect):
         return tuple(x + self.held * self._over(memory) for x in load)
 
     def remember(self, memory, now, after):
-        moved = sum(jnp.abs(b - a) for a, b in zip(now.q, after.q, strict=True))
-        return (memory[0] + moved / len(now.q),)
+        return (memory[0] + gone(now.q, after.q),)
 
     def sense(self, memory, y, now):
         return tuple(x + BENT_RAD * self.moved * self._over(memory) for x in y), memory

@@ -16,6 +16,8 @@ from ljjax.fit import folds
 from ljjax.gap.candidates import Trial, either_side, path, still
 from ljjax.gap.screening import Screen, ahead
 from ljjax.gap.search import Refit, Study
+from ljjax.model import Model
+from ljjax.model import replace as at
 
 FURTHER = 0.12
 """The share of the gap, left by one effect, from which the others are begun otherwise."""
@@ -30,6 +32,33 @@ MOUNTED = 0.5
 be tried so though the best explains the gap."""
 ONSETS = 24
 """How many moments of the session a sudden effect is tried to begin at, where nothing explains the gap."""
+
+
+def shares_of(kind: type[Effect], values: Mapping[str, float], count: int) -> np.ndarray:
+    """(R,) the share of an effect that is there in each run, by values of its parameters by path."""
+    return np.array([1 + values.get(path(kind, EACH.format(k + 1)), 0.0) for k in range(count)])
+
+
+def level(kind: type[Effect], model: Model, count: int) -> Model:
+    """The model with the same share of an effect in each run."""
+    return at(model, {path(kind, EACH.format(k + 1)): 0.0 for k in range(count)})
+
+
+def freely(kind: type[Effect], values: Mapping[str, float], shares: np.ndarray) -> dict[str, float]:
+    """Values by path, with the share of one of the effects in each run."""
+    return {**values, **{path(kind, EACH.format(k + 1)): float(x) - 1 for k, x in enumerate(shares)}}
+
+
+def anchored(kind: type[Effect], values: Mapping[str, float], shares: np.ndarray) -> dict[str, float]:
+    """The same, but its sizes those of the run in which it is largest, with no share of its own there."""
+    most = int(np.argmax(np.abs(shares)))
+    out = freely(kind, values, shares / shares[most])
+    del out[path(kind, EACH.format(most + 1))]
+    for n in kind.sizes():
+        if (p := path(kind, n)) in out:
+            null = float(kind.fields()[n]["null"])
+            out[p] = null + float(shares[most]) * (out[p] - null)
+    return out
 
 
 @dataclass
@@ -61,11 +90,11 @@ class Variation:
             return
         near = [r for r in ordered if self.left(r) < NEARBY * least and self.left(r) < HOPELESS][:VARYING]
         kinds = {k.id: varying(k) for k in self.study.kinds if varies(k) and any(r.ids == (k.id,) for r in near)}
-        free = self._free(kinds)
+        free = self.free(kinds)
         varied = free.varied([single[i] for i in kinds], "varying effects")
         better = self._better(single, varied)
         if kept := {i: r for i, r in better.items() if self._left_out(r) < self._left_out(single[i])}:
-            self.study.kinds = self._free({i: kinds[i] for i in kept}).kinds
+            self.keep({i: kinds[i] for i in kept})
             self.plain |= {i: single[i] for i in kept}
             single |= kept
         if self._unexplained(single):
@@ -82,6 +111,22 @@ class Variation:
         unexplained, least = self._unexplained(single), min(map(self.left, single.values()))
         if unexplained or least > VARIED:
             self._by_run(single, np.inf if unexplained else MOUNTED * least)
+
+    def by_run(self) -> dict[str, type[Effect]]:
+        """What is put on, moved or set, as it may be another in each run, but for what varies otherwise already."""
+        sudden = [k for k in self.study.kinds if k.sudden]
+        each = {k.id: k for k in sudden if EACH.format(1) in k.fields()}
+        return each | {k.id: varying(k, self._until) for k in sudden if varies(k)}
+
+    @cached_property
+    def _until(self) -> tuple[float, ...]:
+        """The slip that parts the starts of runs [rad]."""
+        starts = [float(m.worn[0]) for m in self.study.motions]
+        return tuple((a + b) / 2 for a, b in itertools.pairwise(starts))
+
+    def keep(self, kinds: Mapping[str, type[Effect]]) -> None:
+        """These effects stay so."""
+        self.study.kinds = self.free(kinds).kinds
 
     def _left_out(self, refit: Refit) -> float:
         """The loss of a refit where each condition is left out, to first order."""
@@ -107,7 +152,7 @@ class Variation:
     ) -> None:
         """Effects that promise most where they vary in one of the ways `pilots`: what varies much may do nothing as it
         stands."""
-        free, screen = self._free(kinds), self._screened(kinds, pilots)
+        free, screen = self.free(kinds), self._screened(kinds, pilots)
         first = [key for key in ahead(screen, len(screen.ids)) if key[0] in kinds][:VARYING]
         steps = {}
         for key in first:
@@ -121,9 +166,7 @@ class Variation:
     def _by_run(self, single: dict[str, Refit], within: float) -> None:
         """Effects that promise most where they are others in each run, and to leave less than such a share of the gap:
         of each size by the run in which it is largest, in the others as much of it as goes along with that."""
-        starts = [float(m.worn[0]) for m in self.study.motions]
-        until = tuple((a + b) / 2 for a, b in itertools.pairwise(starts))
-        kinds, runs = self._sudden(until), range(len(starts))
+        kinds, runs = self._sudden(self._until), range(len(self.study.motions))
         alone = [{EACH.format(r + 1): float(k == r) - 1 for r in runs} for k in runs]
         screen = self._screened(kinds, lambda kind: alone)
         gain = {i: sum(screen.gains[i, k] for k in runs) for i in kinds}
@@ -140,7 +183,7 @@ class Variation:
             trials.append(Trial((i,), {**sizes, **shares, **forms}))
         if not trials:
             return
-        free = self._free(kinds)
+        free = self.free(kinds)
         stage = "effects that change from run to run"
         found = free.refit(self.base.model, trials, None, stage=stage, finish=VARYING)
         found += free.refit(self.study.start, trials, None, stage=f"{stage}, from the given model", finish=VARYING)
@@ -155,18 +198,18 @@ class Variation:
             usual = dict(self.screen.forms[self.screen.best(kind.id)])
             return [{**usual, **way} for way in pilots(kind)] if kind.id in kinds else [usual]
 
-        return self._free(kinds).screen(self.base, forms)
+        return self.free(kinds).screen(self.base, forms)
 
     def _keep(
         self, single: dict[str, Refit], found: Sequence[Refit], kinds: Mapping[str, type[Effect]], stage: str
     ) -> dict[str, Refit]:
         """Of effects found to vary those that leave notably less stay so, and are taken further; as they were found."""
         if kept := self._better(single, found):
-            self.study.kinds = self._free({i: kinds[i] for i in kept}).kinds
+            self.keep({i: kinds[i] for i in kept})
             single |= self._better(single, self.study.varied(list(kept.values()), f"{stage}, once more"))
         return kept
 
-    def _free(self, kinds: Mapping[str, type[Effect]]) -> Study:
+    def free(self, kinds: Mapping[str, type[Effect]]) -> Study:
         """The study with these effects in place of those of the same ids."""
         return replace(self.study, kinds=[kinds.get(k.id, k) for k in self.study.kinds])
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import dahl, lagged, positive, saturated, towards_base, turned
+from ljjax.effects.shapes import dahl, gone, lagged, positive, saturated, towards_base, turned
 
 APART_KPA = 10.0
 """The difference between line and sheath at which the sheath's time constants hold."""
@@ -43,23 +43,26 @@ class PressureLeak(Effect):
     with the time constant τ while there is a vacuum, and back to 0 soon after it is vented; and a share h of what it
     lacks follows the line's vacuum that late, P = (P_line − L D)₊ with τḊ = P_line − D. A share b of the
     leak may be at folds that open with the bend, and a share m at lips that open with motion: f then goes to
-    (1 − b − m)₊ + b q²/(q² + w²) + m v²/(v² + ω²), q² and v² the joints' means, and to the latter two when vented."""
+    (1 − b − m)₊ + b q²/(q² + w²) + m v²/(v² + ω²), q² and v² the joints' means, and to the latter two when vented. A
+    share g of the leak opens as the session goes on: L is L (1 − g exp(−S/S₀)), S the way gone by the mean joint."""
 
     id, block, axes = "pressure_leak", "jamming", ("pressure", "time")
     sudden = True
     share: jax.Array = parameter("1", 0.0, 0.0, 0.95, 0.15)
-    tau_s: jax.Array = shape("s", 5.0, 0.05, 200.0, (1.5, 5.0, 20.0))
+    tau_s: jax.Array = shape("s", 5.0, 0.05, 200.0, (0.2, 1.5, 5.0, 20.0))
     held: jax.Array = shape("1", 0.5, 0.0, 1.0, (1.0, 0.0))
     of_bend: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     open_rad: jax.Array = shape("rad", 0.15, 0.01, 2.0, (0.4,), "angle")
     of_motion: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     open_rad_s: jax.Array = shape("rad/s", 0.3, 0.02, 10.0, (0.3,))
+    of_session: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    opens_rad: jax.Array = shape("rad", 10.0, 0.1, 1e3, (0.3,), "slip")
 
     def start(self, now):
-        return 0.0 * now.vacuum, 0.0 * now.vacuum
+        return 0.0 * now.vacuum, 0.0 * now.vacuum, now.worn
 
     def evacuate(self, memory, vacuum, now):
-        leaked, lacking = memory
+        leaked, lacking, slip = memory
         held = vacuum > VENTED_KPA
         bend = sum(q * q for q in now.middle) / len(now.middle)
         rate = sum(v * v for v in now.v) / len(now.v)
@@ -69,7 +72,12 @@ class PressureLeak(Effect):
         tau = jnp.where(held, self.tau_s, VENT_S + moved * (self.tau_s - VENT_S))
         part, leaked = lagged(goal, leaked, tau, now.h)
         late, lacking = lagged(vacuum, lacking, tau, now.h)
-        return positive(vacuum - self.share * ((1 - self.held) * vacuum * part + self.held * late)), (leaked, lacking)
+        share = self.share * (1 - self.of_session * jnp.exp(-slip / self.opens_rad))
+        vacuum = positive(vacuum - share * ((1 - self.held) * vacuum * part + self.held * late))
+        return vacuum, (leaked, lacking, slip)
+
+    def remember(self, memory, now, after):
+        return *memory[:2], memory[2] + gone(now.q, after.q)
 
 
 NO_KPA = 1e-3
@@ -196,11 +204,10 @@ class LayerWear(Effect):
     def phi(self, memory, phi, now):
         out = []
         for p, place in zip(phi, towards_base(self.to_base, len(phi)), strict=True):
-            gone = jnp.exp(self.order * jnp.log(positive(memory[0] * place) / self.scale_rad + NO_WAY))
-            worn = (1 - self.evenly) * jnp.expm1(-gone) - self.evenly * jnp.minimum(gone, 1.0)
+            y = jnp.exp(self.order * jnp.log(positive(memory[0] * place) / self.scale_rad + NO_WAY))
+            worn = (1 - self.evenly) * jnp.expm1(-y) - self.evenly * jnp.minimum(y, 1.0)
             out.append(p * (1 + self.loss * worn))
         return tuple(out)
 
     def remember(self, memory, now, after):
-        moved = sum(jnp.abs(b - a) for a, b in zip(now.q, after.q, strict=True))
-        return (memory[0] + moved / len(now.q),)
+        return (memory[0] + gone(now.q, after.q),)

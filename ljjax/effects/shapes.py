@@ -102,6 +102,12 @@ def turned(way: Array, moved: Any, width: float | Array, rest: Array | None = No
     return end + (way - end) * jnp.exp(-whole / width)
 
 
+def gone(q: Vector, after: Vector) -> Array:
+    """The way that the mean joint has gone in a step [rad]."""
+    first, *others = (jnp.abs(b - a) for a, b in zip(q, after, strict=True))
+    return sum(others, first) / len(q)
+
+
 def dahl(z: Array, moved: Array, order: Array) -> Array:
     """z in [−1, 1] after a way `moved`: dz/dx = (1 − z sgn ẋ)^order (Dahl); a spring that slides at ±1 for 0."""
     way, left = jnp.sign(moved), 1 - order

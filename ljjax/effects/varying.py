@@ -27,6 +27,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ljjax.effect import Effect, Memory, Now, Vector, variation
+from ljjax.effects.shapes import gone
 
 LOAD_N, VACUUM_KPA, BEND_RAD, RATE_RAD_S, WARMTH_K, SENSE_RAD2_S = 10.0, 15.0, 0.4, 0.5, 2.0, 0.005
 """Where what an effect varies with is halfway."""
@@ -170,7 +171,7 @@ def varying(kind: type[Effect], until: tuple[float, ...] | None = None) -> type[
     def remember(self: Any, memory: Memory, now: Now, after: Any) -> Memory:
         inner, m, *slip = memory
         if base is _Sudden:
-            slip[0] = slip[0] + sum(jnp.abs(b - a) for a, b in zip(now.q, after.q, strict=True)) / len(now.q)
+            slip[0] = slip[0] + gone(now.q, after.q)
         return at(self, m).remember(inner, now, after), m, *slip
 
     def sense(self: Any, memory: Memory, y: Vector, now: Now) -> tuple[Vector, Memory]:

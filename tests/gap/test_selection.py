@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ljjax.effects import REGISTRY
+from ljjax.effects.varying import varying
 from ljjax.gap.candidates import CAUTIOUS, Trial
 from ljjax.gap.channels import Measured
 from ljjax.gap.scatter import NO_SCATTER
@@ -154,6 +155,7 @@ def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_as_it
     selection._pairs = lambda singles, hopeless: []
     selection._promised = lambda: []
     selection._prune = selection._exchange = lambda *_: None
+    selection._mounted = lambda *_: []
     selection.base = selection.screen = None
     selection._on_few = few
     steps = {(k.id, 0): Trial((k.id,), {f"effects.{k.id}.{next(iter(k.sizes()))}": 0.1}) for k in kinds}
@@ -163,6 +165,54 @@ def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_as_it
     assert {t.ids for t in begun} == {("contact", k.id) for k in kinds if k.id != "contact"}
     assert all(t.start["effects.contact.stop"] == 7.0 and t.size == 2 for t in begun)
     assert found.best.ids == (("contact", "sensor_bias") if kept else ("contact",))
+
+
+@pytest.mark.parametrize("leaves, kept", [(0.01, {"sensor_bias"}), (0.3, set())])
+def test_a_second_effect_may_be_another_in_each_run(leaves, kept, monkeypatch):
+    """Of four runs the second and the fourth tell most: what a bias is there is where it begins in the others."""
+    monkeypatch.setattr("ljjax.gap.selection.level", lambda kind, model, count: model)
+    sudden = {i: varying(k, (1.0, 2.0, 3.0)) for i, k in REGISTRY.items() if k.sudden}
+    known: list[Any] = []
+    all_runs: list[Trial] = []
+    staying: dict[str, Any] = {}
+
+    def refitted(trial: Trial, left: float) -> Any:
+        return SimpleNamespace(trial=trial, ids=trial.ids, free_effects=trial.start, total=left, model=trial)
+
+    asym = refitted(Trial(("friction_asymmetry",), {"effects.friction_asymmetry.share": 0.3}), 0.5)
+    hysteresis = refitted(Trial(("layer_hysteresis",), {"effects.layer_hysteresis.torque_nm": 0.1}), 0.4)
+    pair = refitted(Trial(("layer_hysteresis", "friction_asymmetry")), 0.1)
+
+    def told_by_few(study, trials, found, stage) -> list[Any]:
+        known.append((found, trials))
+        found = [t for t in trials if t.ids == ("friction_asymmetry", "sensor_bias")]
+        return [refitted(Trial(t.ids, {**t.start, "effects.sensor_bias.in_run2": 3.0}), 0.1) for t in found[:1]]
+
+    def refit(like, trials, screen, stage) -> list[Any]:
+        all_runs.extend(trials)
+        return [refitted(t, leaves) for t in trials]
+
+    selection: Any = object.__new__(Selection)
+    selection.left, selection.base = lambda refit: refit.total, SimpleNamespace(loss=np.array([1.0, 5.0, 2.0, 9.0]))
+    selection._told_by_few = told_by_few
+    steps = {(i, 0): Trial((i,), {f"effects.{i}.{next(iter(k.sizes()))}": 0.1}) for i, k in REGISTRY.items()}
+    trial = lambda screen, key: (steps[key], None)  # noqa: E731
+    selection.study = SimpleNamespace(kinds=list(REGISTRY.values()), motions=[None] * 4, trial=trial, refit=refit)
+    selection._from_given = SimpleNamespace(best=lambda i: (i, 0))
+    variation: Any = SimpleNamespace(plain={}, by_run=lambda: sudden, free=lambda _: selection.study)
+    variation.keep = staying.update
+    found = selection._mounted(variation, [hysteresis, asym], [pair])
+    assert found[0].ids == ("friction_asymmetry", "sensor_bias")
+    assert [g[0].ids for g, _ in known][:2] == [("layer_hysteresis",), ("friction_asymmetry",)]
+    assert {t.ids[1] for _, trials in known for t in trials} == {*sudden}
+    names = [f"effects.sensor_bias.in_run{k}" for k in (1, 2, 3, 4)]
+    few = [t for t in known[1][1] if t.ids[1] == "sensor_bias"]
+    assert [few[0].start.get(n) for n in names] == [None, 0.0, None, None]
+    freely, anchored = (t.start for t in all_runs)
+    assert [freely[n] for n in names] == pytest.approx([3.0, 3.0, 1.5, 0.0])
+    assert [anchored.get(n) for n in names] == pytest.approx([None, 0.0, -0.375, -0.75]), "largest in the first"
+    assert anchored["effects.sensor_bias.offset_rad"] == 4 * freely["effects.sensor_bias.offset_rad"] != 0
+    assert {*staying} == kept
 
 
 def test_a_further_effect_whose_first_step_leads_astray_is_begun_again_with_care():

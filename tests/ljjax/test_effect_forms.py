@@ -93,7 +93,7 @@ def test_a_leak_may_be_at_what_opens_with_the_bend_or_with_motion(opens):
     def held(opened: float, seconds: float) -> float:
         moved, none = jnp.asarray([opened, -opened]), jnp.zeros((2,))
         bent, fast = (moved, none) if "of_bend" in opens else (none, moved)
-        now: Any = SimpleNamespace(vacuum=line, h=jnp.asarray(1e-3), middle=bent, v=fast)
+        now: Any = SimpleNamespace(vacuum=line, h=jnp.asarray(1e-3), middle=bent, v=fast, worn=jnp.asarray(0.0))
         memory, vacuum = leak.start(now), line
         for _ in range(round(seconds / 1e-3)):
             vacuum, memory = leak.evacuate(memory, line, now)
@@ -101,6 +101,25 @@ def test_a_leak_may_be_at_what_opens_with_the_bend_or_with_motion(opens):
 
     assert held(0.0, 0.2) == pytest.approx(20.0)
     assert held(0.2, 0.5) == pytest.approx(20.0 * (1 - 0.2 * (1 - np.exp(-1))), rel=1e-3)
+
+
+def test_a_leak_may_open_as_the_session_goes_on():
+    """S₀ = 5 rad: none of it at first, 1 − 1/e after 5 rad, in one run or before it; half of it always with g = ½."""
+    kind: Any = REGISTRY["pressure_leak"]
+
+    def held(leak: Any, before: float, in_run: float) -> float:
+        q = jnp.zeros((2,))
+        now: Any = SimpleNamespace(vacuum=jnp.asarray(20.0), h=jnp.asarray(1.0), middle=q, v=q, q=q)
+        now.worn = jnp.asarray(before)
+        memory = leak.remember(leak.start(now), now, SimpleNamespace(q=q + in_run))
+        _, memory = leak.evacuate(memory, now.vacuum, now)
+        return float(leak.evacuate(memory, now.vacuum, now)[0])
+
+    leak = {"share": 0.4, "tau_s": 0.05, "held": 0.0, "opens_rad": 5.0}
+    assert held(kind(**leak, of_session=1.0), 0.0, 0.0) == pytest.approx(20.0)
+    for before, in_run in ((5.0, 0.0), (0.0, 5.0), (2.0, 3.0)):
+        assert held(kind(**leak, of_session=1.0), before, in_run) == pytest.approx(20 * (1 - 0.4 * (1 - np.exp(-1))))
+    assert held(kind(**leak, of_session=0.5), 0.0, 0.0) == pytest.approx(16.0)
 
 
 def test_a_coat_may_wear_through():
