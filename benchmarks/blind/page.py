@@ -87,7 +87,7 @@ def _calibration(found: Mapping[str, Any]) -> str:
     c = found["calibration"]
     return (
         f"Calibration of the first answer's probability: expected calibration error {c['ece']:.3f}, where "
-        f"true probabilities would show {c['by_chance']:.3f} on average over so few cases; Brier score "
+        f"true probabilities would show {c['by_chance']:.3f} on average over as many cases; Brier score "
         f"{c['brier']:.3f} over all answers."
     )
 
