@@ -279,7 +279,8 @@ class Selection:
             if len(found.best.ids) == 1 and share < NOTABLE and min(map(self.left, more), default=1.0) > WELL:
                 plain = [variation.plain.get(r.ids[0], r) for r in leaders]
                 more += [r for r in self._beside(plain) if self.left(r) < FURTHER]
-            if len(found.best.ids) == 1 and share < NOTABLE and min(map(self.left, more), default=1.0) > VARIED:
+            told = judge.as_little(0.0, unit)  # which cannot be told from nothing
+            if len(found.best.ids) == 1 and share < NOTABLE and min(map(self.left, more), default=1.0) > told:
                 more += [r for r in self._mounted(variation, leaders, more) if self.left(r) < FURTHER]
             for r in more:
                 key = tuple(sorted(r.ids))
