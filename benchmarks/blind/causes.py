@@ -108,6 +108,11 @@ def _ripple(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [rng.uniform(2000, 6000), rng.uniform(0.008, 0.015), float(rng.integers(7, 13)), *turn]
 
 
+def _climbed(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """The length of tendon [m] beyond which each spool winds on a second layer."""
+    return list(rng.uniform(0.1, 0.5, 2) * 0.12 * setting.tip_m / 0.756)
+
+
 def _liners(rng: np.random.Generator, setting: Setting) -> list[float]:
     return list(rng.uniform(0.3, 1.7, JOINTS))
 
@@ -269,6 +274,7 @@ LISTED = (
             *_alike(0.05, 0.5, _between((0.03, 0.15)), _none, _sides(0.05, 0.3)),
             Shape(0.1, 1, _liners, ("segment",)),
             Shape(0.05, 0.5, _none),
+            Shape(0.05, 0.5, _between((800, 3000))),
         ),
     ),
     Cause(
@@ -278,6 +284,7 @@ LISTED = (
             Shape(2, 30, _between((15, 60)), ("time", "rate")),
             Shape(2, 40, _between((10, 40)), ("time", "rate", "angle")),
             Shape(0.3, 6, _between((0.05, 0.3))),
+            Shape(0.5, 8, _between((100, 400)), ("run", "time")),
         ),
     ),
     Cause(
@@ -286,27 +293,35 @@ LISTED = (
             *_alike(0.02, 0.5, _none, _none, _between((0.3, 0.6))),
             Shape(0.02, 0.5, _between((1.5, 4), (2, 8)), ("load",)),
             Shape(0.05, 0.5, _between((8, 20))),
+            Shape(0.02, 0.5, _none),
         ),
     ),
     Cause(
         *("actuator_delay", "actuation", ("rate", "direction", "time")),
-        _alike(0.02, 0.3, _between((0.05, 0.3), (0, 6)), _none, _seed, _sides(0.2, 0.6), _between((0, 1))),
+        (
+            *_alike(0.02, 0.3, _between((0.05, 0.3), (0, 6)), _none, _seed, _sides(0.2, 0.6), _between((0, 1))),
+            Shape(0.02, 0.3, _seed, ("run",)),
+        ),
     ),
     Cause(
         *("actuator_deadband", "actuation", ("load", "angle")),
-        _alike(0.4, 5, _none, _none, _sides(0.2, 0.6), _between((0.8, 2.5)), _none),
+        (
+            *_alike(0.4, 5, _none, _none, _sides(0.2, 0.6), _between((0.8, 2.5)), _none),
+            Shape(0.4, 5, _between((0.5, 3)), ("time",)),
+        ),
     ),
     Cause(
         *("actuator_gain", "actuation", ("load", "angle", "everywhere", "direction")),
         (
             *_alike(0.05, 0.5, _sides(-0.4, 0.4), _sides(0, 0), _none, _then(_sides(-0.4, 0.4), _between((4, 12)))),
             Shape(0.05, 0.5, _then(_sides(-0.4, 0.4), _between((2, 8))), ("time",)),
+            Shape(0.05, 0.5, _climbed),
         ),
         signed=True,
     ),
     Cause(
         *("actuator_ripple", "actuation", ("angle", "load")),
-        _alike(0.3, 4, *[_ripple] * 4, _then(_ripple, _between((0.2, 0.45)))),
+        _alike(0.3, 4, *[_ripple] * 4, _then(_ripple, _between((0.2, 0.45))), _ripple),
     ),
     Cause(
         *("actuator_saturation", "actuation", ("load", "angle")),
@@ -315,11 +330,16 @@ LISTED = (
             Shape(0.3, 0.8, _then(_peak, _between((0.2, 0.8))), ("time",)),
             Shape(0.4, 0.85, _peak),
             Shape(0.3, 0.8, _then(_peak, _between((0.05, 0.15))), ("rate",)),
+            Shape(0.2, 0.8, _then(_peak, _between((0.2, 0.8)))),
         ),
     ),
     Cause(
         *("pressure_lag", "jamming", ("pressure", "time", "rate")),
-        (Shape(0.5, 6, _between((0.5, 2.2))), *_alike(0.3, 4, *[_between((0.4, 2.5))] * 4)),
+        (
+            Shape(0.5, 6, _between((0.5, 2.2))),
+            *_alike(0.3, 4, *[_between((0.4, 2.5))] * 4),
+            Shape(0.15, 3, _between((0.25, 0.6))),
+        ),
     ),
     Cause(
         *("pressure_leak", "jamming", ("pressure", "time")),
@@ -329,6 +349,7 @@ LISTED = (
             Shape(1, 12, _between((0.2, 1)), ("angle",)),
             Shape(1, 12, _between((0.2, 1)), ("rate",)),
             Shape(0.3, 0.95, _between((150, 500)), ("run",)),
+            Shape(1, 10, _break, ("run",)),
         ),
     ),
     Cause(
@@ -337,6 +358,7 @@ LISTED = (
             *_alike(1, 8, _none, _none, _none),
             Shape(1, 8, _seed, ("run",)),
             Shape(1, 8, _none, ("run", "time")),
+            Shape(1, 8, _between((3, 10)), ("time",)),
         ),
         signed=True,
     ),

@@ -65,6 +65,8 @@ int run(const double *robot, const double *causes, double *carried, int count, c
     for (int i = 0; i < 2; i++) {
         s.tension[i] = s.first[i] = s.slack[i][0] = s.slack[i][1] = u[i];
         if (form(f[TENDON_SLACK]) == 2) s.slack[i][0] = u[i] < 0.8 ? 1e-3 * f[TENDON_SLACK][0] : 0;
+        for (int k = 0; k < N; k++) s.cable[k][i] = u[i];
+        for (int k = 0; k < 4; k++) s.eddy[i][k] = u[i];
         s.breakaway[i] = u[i] > f[ACTUATOR_DEADBAND][0];
     }
     s.sheath = s.line = s.feed = s.fore = s.deep = vacuum[0];
@@ -95,7 +97,8 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         pressurise(f, &s, held(vacuum, count, 1, calm ? 0 : middle, period), calm ? 0 : middle, calm ? 0 : h);
         double pull[2], freed[2] = {0};
         for (int i = 0; i < N && !calm; i++) freed[0] += r->lever * s.v[i], freed[1] -= r->lever * s.v[i];
-        for (int i = 0; i < 2; i++) pull[i] = past_slack(f[TENDON_SLACK], s.slack[i], s.tension[i], freed[i], h);
+        for (int i = 0; i < 2; i++)
+            pull[i] = past_slack(f[TENDON_SLACK], s.slack[i], s.tension[i], freed[i], session + fmax(t, 0), h);
         if (f[DERAILED_TENDON][0] > 0) { /* out of its guides beyond one angle, back in them within another */
             int which = (int)f[DERAILED_TENDON][1];
             double bent = 0;
@@ -130,7 +133,10 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         for (int i = N - 1; i >= 0; i--) slide[i] = beyond += s.v[i];
         for (int i = 0; i < N; i++) {
             const double *t = f[TENDON_FRICTION];
-            if (t[0] > 0) {
+            if (t[0] > 0 && form(t) == 5) {
+                double drawn = calm ? 0 : h * r->lever * s.v[i];
+                a = stuck(t, &s.cable[i][0], a, s.q[i], -drawn), b = stuck(t, &s.cable[i][1], b, s.q[i], drawn);
+            } else if (t[0] > 0) {
                 double still[1] = {0}, *guide = calm ? still : &s.guide[i];
                 double loss = rubbed(t, guide, s.q[i], calm ? 0 : r->lever * slide[form(t) == 1 ? 0 : i], h);
                 if (form(t) == 4 && i > 0) loss = 0;

@@ -29,6 +29,7 @@ typedef struct {
     double line, feed, fore, deep, sheath, seal;                                                  /* pressure */
     double play[N][PLAYS], branch[N][4], loading[N], pendulum, pendulum_rate, dragged;            /* structure */
     double session;
+    double cable[N][2], eddy[2][4], worked[2], surging; /* further ones of actuation and pressure */
 } State;
 
 static double clamp(double x, double low, double high) { return x < low ? low : x > high ? high : x; }
@@ -56,6 +57,7 @@ static double given(const double *f, double session, double t, int i) {
     if (late <= 0) return t;
     if (form(f) == 3) return t - late * f[1 + i] * (0.6 + fmin(t / 15, 1)); /* buffers of their own, slowly filling */
     if (form(f) == 4) return 2 * late * (floor(t / (2 * late) - f[1]) + f[1]); /* read at a slow beat, then held */
+    if (form(f) == 5) return t - late * (0.25 + 1.5 * chance(session + f[1])); /* connected anew for each run */
     if (form(f) == 0) late *= 1 + 0.25 * sin(TURN * f[1] * t + f[2]);
     if (form(f) < 2) return t - late;
     double every = 0.7 * late, k = floor(t / every); /* packets, on their way for different times */
@@ -68,6 +70,8 @@ static double saturated(const double *f, double *hot, double x, double other, do
     if (form(f) == 3) return x / pow(1 + pow((x + other) / (1.6 * top), 8), 1 / 8.0); /* one supply for both drives */
     if (form(f) == 0) return x > top ? top + 0.04 * (x - top) : x;
     if (form(f) == 1) return x / pow(1 + pow(x / top, 6), 1 / 6.0);
+    if (form(f) == 5) /* folds back: the more is asked beyond the limit, the less is given */
+        return fmax(fmin(x, top - f[2] * (x - top)), fmin(x, 0.3 * top));
     if (form(f) == 4) { /* the faster it winds, the less the motor can pull; here its speed is kept */
         *hot += (rate - *hot) * -expm1(-h / 0.02);
         return fmin(x, f[1] * fmax(0.05, 1 - f[0] * (1 + fmax(*hot, 0) / f[2])));
@@ -76,8 +80,12 @@ static double saturated(const double *f, double *hot, double x, double other, do
     return fmin(x, top + (f[1] - top) * (1 - *hot));
 }
 
-static double past_deadband(const double *f, double *breakaway, double x, int i) {
+static double past_deadband(const double *f, double *breakaway, double *worked, double x, int i, double h) {
     double d = f[0];
+    if (form(f) == 5) { /* grease that thins while it is worked, and sets again at rest */
+        *worked += h * (x > d ? (1 - *worked) / f[1] : -*worked / (2 * f[1]));
+        return fmax(0, x - d * (1 - 0.75 * *worked));
+    }
     if (form(f) == 1) return x > d ? x - d : 0;
     if (form(f) == 2) return hypot(x, d * f[1 + i]) - d * f[1 + i];
     if (form(f) == 3) return x > d ? x - d * exp((d - x) / (f[1] * d)) : 0; /* once it turns it rubs less */
@@ -93,6 +101,15 @@ static double lagged(const double *f, State *s, double x, int i, double h) {
     if (form(f) == 0) {
         s->first[i] += (x - s->first[i]) * -expm1(-h / quick);
         return s->tension[i] + h * clamp((s->first[i] - s->tension[i]) / slow, -400, 400);
+    }
+    if (form(f) == 5) { /* flux that diffuses into solid iron: half an order, as first orders side by side */
+        static const double time[4] = {0.05, 0.3, 1.5, 8}, share[4] = {0.2, 0.35, 0.3, 0.15};
+        double sum = 0;
+        for (int k = 0; k < 4; k++) {
+            s->eddy[i][k] += (x - s->eddy[i][k]) * -expm1(-h / (slow * time[k]));
+            sum += share[k] * s->eddy[i][k];
+        }
+        return sum;
     }
     if (form(f) == 4) /* so many newtons a second and no more */
         return s->tension[i] + clamp(x - s->tension[i], -h * f[1] / slow, h * f[1] / slow);
@@ -117,13 +134,17 @@ static void actuate(const double f[][WIDTH], State *s, const double *u, int coun
                 if (t > f[DROPOUT][k] && t < f[DROPOUT][k] + f[DROPOUT][0]) x *= 0.3;
         if (f[ACTUATOR_SATURATION][0] > 0)
             x = saturated(f[ACTUATOR_SATURATION], &s->hot[i], x, other, i ? -rate : rate, h);
-        if (f[ACTUATOR_DEADBAND][0] > 0) x = past_deadband(f[ACTUATOR_DEADBAND], &s->breakaway[i], x, i);
+        if (f[ACTUATOR_DEADBAND][0] > 0)
+            x = past_deadband(f[ACTUATOR_DEADBAND], &s->breakaway[i], &s->worked[i], x, i, h);
         double e = f[ACTUATOR_GAIN][0] * f[ACTUATOR_GAIN][1 + i];
         switch (form(f[ACTUATOR_GAIN])) {
         case 0: x *= 1 + e * (1 - 0.1 * tanh(x / 15)); break;
         case 1: x *= 1 + e; break;
         case 3: x *= 1 + e * x / (x + f[ACTUATOR_GAIN][3]); break; /* the iron saturates */
         case 4: x *= 1 + e * -expm1(-t / f[ACTUATOR_GAIN][3]); break; /* the motor warms up in each run */
+        case 5: /* cable that climbs onto a second layer of itself */
+            x /= 1 + 0.5 * f[ACTUATOR_GAIN][0] * (1 + tanh((wound - f[ACTUATOR_GAIN][1 + i]) / 5e-4));
+            break;
         default: x /= fmax(0.3, 1 + f[ACTUATOR_GAIN][0] * wound / 0.02); /* the spool grows as it winds */
         }
         if (f[ACTUATOR_LAG][0] > 0) x = s->tension[i] = lagged(f[ACTUATOR_LAG], s, x, i, h);
@@ -139,6 +160,8 @@ static void actuate(const double f[][WIDTH], State *s, const double *u, int coun
                 x += p[0] * sin(teeth * angle + p[4 + i] + 0.8 * wave) * (1 + 0.7 * sin(angle + p[6 + i]));
             else if (form(p) == 4) /* a gear of two stages */
                 x += p[0] * (0.8 * wave + 0.6 * sin(p[8] * teeth * angle + p[6 + i]));
+            else if (form(p) == 5) /* narrow magnets far apart: a dip and a bump each, nothing between them */
+                x += 3.2 * p[0] * wave * exp(4 * (cos(teeth * angle + p[4 + i]) - 1));
             else
                 x *= 1 + p[0] / 10 * (1.5 * (fabs(wave) - 0.64) + 0.5 * sin(angle + p[6 + i]));
         }
@@ -148,8 +171,8 @@ static void actuate(const double f[][WIDTH], State *s, const double *u, int coun
 
 /* What reaches the first guide: a pair of plays side by side, one play, cable that a released spool has paid out,
    cable that the body has let go by bending this way faster than the spool winds, or a play with round corners; rate:
-   of that bending [m/s]. */
-static double past_slack(const double *f, double state[2], double x, double rate, double h) {
+   of that bending [m/s]; since: the session began [s]. */
+static double past_slack(const double *f, double state[2], double x, double rate, double since, double h) {
     if (f[0] <= 0) return x;
     if (form(f) == 4) {
         double by = x - state[1], near = state[0] + f[1] * by;
@@ -168,6 +191,7 @@ static double past_slack(const double *f, double state[2], double x, double rate
         return x * (1 - tanh(state[0] / 4e-4));
     }
     double width[2] = {f[0], 0.45 * f[0]}, out = 0;
+    if (form(f) == 5) width[0] *= -expm1(-since / f[1]); /* knots that give over the session: one play, ever wider */
     for (int k = 0; k < 2; k++) {
         state[k] = clamp(state[k], x - width[k], x + width[k]);
         out += (k ? 0.35 : 0.65) * state[k];
@@ -181,6 +205,14 @@ static double filled(const double *f, State *s, double inside, double h) {
     double drop = inside - s->sheath, time = f[0] * (drop > 0 ? 1 : f[1]);
     if (form(f) == 0) /* through an orifice: as the root of the drop */
         return s->sheath + h * 5 * drop / sqrt(fabs(drop) * 5 + 4) / time;
+    if (form(f) == 5) { /* a regulator that overshoots */
+        double w = 2 / f[0], dies = exp(-f[1] * w * h), turns = w * sqrt(1 - f[1] * f[1]), c = dies * cos(turns * h);
+        double by = dies * sin(turns * h) / turns, rate = s->surging;
+        s->surging = rate * c + (w * w * drop - f[1] * w * rate) * by;
+        double next = inside - drop * c + (rate - f[1] * w * drop) * by;
+        if (next > 0) return next;
+        return s->surging = 0;
+    }
     if (form(f) == 4) return s->sheath + clamp(drop, -20 * h / time, 20 * h / time); /* a pump of one speed */
     if (form(f) == 3) time *= 0.15 + s->sheath / 15; /* layers pressed together close their own channels */
     if (form(f) != 2) return s->sheath + drop * -expm1(-h / time);
@@ -202,6 +234,10 @@ static double leaked(const double *f, State *s, double p, double t, double h) {
         return p * (1 - f[0] * s->seal);
     }
     if (form(f) == 4) return p * (1 + f[0] * expm1(-(s->session + t) / f[1])); /* a tear that widens */
+    if (form(f) == 5) { /* pricked at some moment: a hole in a line that chokes */
+        double a = f[0] * (0.5 + 0.5 * tanh((s->session + t - f[1]) / 0.2)), root = 0.5 * (sqrt(a * a + 4 * p) - a);
+        return root * root;
+    }
     double bend = 0, open; /* folds open where it is bent, or a lip while it moves */
     for (int i = 0; i < N; i++) bend += form(f) == 3 ? fabs(s->v[i]) / N / 0.3 : s->q[i] * s->q[i] / N / 0.0144;
     open = bend / (1 + bend);
@@ -218,6 +254,7 @@ static void pressurise(const double f[][WIDTH], State *s, double commanded, doub
     case 1: inside += b; break;
     case 3: inside += b * (0.2 + 1.6 * chance(s->session + f[PRESSURE_BIAS][1])); break; /* zeroed anew for each run */
     case 4: inside += b * (s->session + t) / 600; break; /* it drifts */
+    case 5: inside += b * exp(-t / f[PRESSURE_BIAS][1]); break; /* a gauge switched on for each run */
     default: inside += b * (1 - exp(-commanded / 4));
     }
     if (f[PUMP_PULSES][0] > 0) /* that a damped gauge does not show */

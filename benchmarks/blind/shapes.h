@@ -159,6 +159,14 @@ static double rubbed(const double *f, double *guide, double q, double rate, doub
     return f[0] * wrap * *guide * (form(f) == 1 ? 1 : 1 + 0.8 * exp(-rate * rate / 1e-5));
 }
 
+/* What of the tension x an elastic cable hands on past guide i: it sticks there, stretched by `drawn` [m] more, as long
+   as the capstan can hold the difference. */
+static double stuck(const double *f, double *beyond, double x, double q, double drawn) {
+    double most = exp(f[0] * (fabs(q) + 0.03));
+    *beyond = clamp(*beyond + f[1] * drawn, x / most, x * most);
+    return *beyond;
+}
+
 /* The same in soft liners, unevenly worn: as a power of the force that presses the tendon x on them. */
 static double lined(const double *f, int i, double q, double x) {
     return fmin(0.4, f[0] * f[1 + i] * pow(x * (fabs(q) + 0.01) + 1e-9, 0.7) / (x + 0.3));
