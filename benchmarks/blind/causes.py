@@ -169,6 +169,11 @@ def _payload(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [rng.uniform(0.005, 0.03), rng.uniform(-0.003, 0.003), 0.015]
 
 
+def _hung(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """A hook, and a thread below it."""
+    return [rng.uniform(0, 0.015), 0.0, 0.0, rng.uniform(0.05, 0.25)]
+
+
 def _gripper(rng: np.random.Generator, setting: Setting) -> list[float]:
     length = rng.uniform(0.06, 0.14)
     return [length / 2, rng.uniform(-0.01, 0.01), length / 4.8**0.5]
@@ -428,6 +433,7 @@ LISTED = (
             Shape(0.01, 0.2, _kinked, ("segment",)),
             Shape(0.01, 0.2, _curved),
             Shape(0.01, 0.25, _then(_curved, _between((60, 250))), ("run", "time")),
+            Shape(0.01, 0.25, _then(_curved, _between((3, 12))), ("run", "time")),
         ),
         signed=True,
     ),
@@ -438,6 +444,7 @@ LISTED = (
             Shape(0.1, 0.8, _seed, ("run",)),
             Shape(0.1, 1.0, _between((60, 200)), ("run", "time")),
             Shape(0.1, 1.0, _break, ("run", "time")),
+            Shape(0.1, 1.0, _none, ("direction", "load")),
         ),
         signed=True,
     ),
@@ -447,6 +454,7 @@ LISTED = (
             *_alike(0.03, 0.4, _payload, _fixed(0, 0, 0), _gripper),
             Shape(0.03, 0.4, _bracket, ("everywhere", "pressure")),
             Shape(0.03, 0.4, _then(_payload, _between_runs), ("run",)),
+            Shape(0.03, 0.4, _hung, ("time",)),
         ),
     ),
     Cause(
@@ -455,6 +463,7 @@ LISTED = (
             *_alike(0.5, 3, _fixed(*(1 - 0.12 * (i - 2.5) for i in range(JOINTS))), _fixed(*[1.0] * JOINTS), _lump),
             Shape(0.5, 3, _lump, ("load",)),
             Shape(0.5, 3, _lump, ("rate",)),
+            Shape(0.5, 3, _between((0.8, 2), (3.2, 5), (3, 12)), ("run", "time")),
         ),
     ),
     Cause(
@@ -465,6 +474,7 @@ LISTED = (
             Shape(0.1, 0.45, _then(_weak, _fixed(1, 1))),
             Shape(0.1, 0.7, _then(_uneven, _fixed(1, 1)), ("angle",)),
             Shape(0.1, 0.6, _then(_stepped, _fixed(1, 1))),
+            Shape(0.1, 0.45, _then(_uneven, _between((3, 12))), ("run", "time")),
         ),
     ),
     Cause(
@@ -474,6 +484,7 @@ LISTED = (
             Shape(3, 100, _bent(0.45, 0.65)),
             Shape(100, 1e4, _then(_obstacle, _between((0.004, 0.015)))),
             Shape(100, 1e4, _midway, ("segment",)),
+            Shape(100, 1e4, _then(_obstacle, _between((0.5, 4))), ("time", "rate")),
         ),
     ),
     Cause(
@@ -505,6 +516,7 @@ LISTED = (
             Shape(0.001, 0.05, _one_marker, ("segment",)),
             Shape(0.001, 0.05, _then(_markers, _knock), ("run", "time")),
             Shape(0.001, 0.05, _then(_markers, _seed), ("run",)),
+            Shape(0.001, 0.05, _then(_markers, _between((20, 150))), ("run", "time")),
         ),
         signed=True,
     ),
@@ -514,14 +526,18 @@ LISTED = (
             *_alike(0.02, 0.12, _none, _none),
             Shape(0.02, 0.3, _none),
             *[Shape(0.02, most, _none, ("segment",)) for most in (0.22, 0.3)],
+            Shape(0.02, 0.2, _seed, ("run",)),
         ),
         signed=True,
     ),
     Cause(
         *("sensor_delay", "sensing", ("rate", "direction", "time")),
-        _alike(0.02, 0.3, _between((0.05, 0.2), (0, 6)), _none, _between((1.5, 4), (0, 4)), _seed, _seed),
+        (
+            *_alike(0.02, 0.3, _between((0.05, 0.2), (0, 6)), _none, _between((1.5, 4), (0, 4)), _seed, _seed),
+            Shape(0.02, 0.3, _between((0.2, 1))),
+        ),
     ),
-    Cause("sensor_filter", "sensing", ("rate", "time", "direction"), _alike(0.05, 0.8, *[_none] * 5)),
+    Cause("sensor_filter", "sensing", ("rate", "time", "direction"), _alike(0.05, 0.8, *[_none] * 6)),
 )
 UNLISTED = (
     Cause("jammed_joint", None, (), _alike(0.5, 12, _joint)),
@@ -541,6 +557,12 @@ UNLISTED = (
     Cause("magnet", None, (), _alike(0.1, 5, _beside)),
     Cause("rough_patch", None, (), _alike(0.1, 5, _beside)),
     Cause("edge_of_view", None, (), _alike(0.1, 0.95, _edges)),
+    Cause("column_softening", None, (), _alike(0.01, 0.06, _none)),
+    Cause("brownout", None, (), _alike(0.2, 0.95, _between((0.5, 2)))),
+    Cause("shaken_loose", None, (), _alike(0.2, 0.95, _between((4, 9), (0, 6)))),
+    Cause("servo_hunting", None, (), _alike(1, 10, _between((0.6, 1.6), (0, 6)))),
+    Cause("false_detections", None, (), _alike(0.02, 0.4, _seed)),
+    Cause("coarse_pixels", None, (), _alike(0.005, 0.1, _none)),
 )
 CAUSES = {cause.id: cause for cause in (*LISTED, *UNLISTED)}
 SENSING = (
@@ -551,6 +573,8 @@ SENSING = (
     "camera_wander",
     "lost_frames",
     "edge_of_view",
+    "false_detections",
+    "coarse_pixels",
 )
 BLOCKS = {cause.id: cause.block for cause in LISTED}
 

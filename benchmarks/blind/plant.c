@@ -50,7 +50,8 @@ int run(const double *robot, const double *causes, double *carried, int count, c
     double payload = f[TIP_PAYLOAD][0], arm[N];
     if (form(f[TIP_PAYLOAD]) == 4 && session < f[TIP_PAYLOAD][4]) payload = 0; /* put on between two runs */
     for (int i = 0; i < N; i++) arm[i] = length[i] + (i == N - 1 ? f[TIP_PAYLOAD][1] : 0);
-    if (payload > 0) {
+    int hung = form(f[TIP_PAYLOAD]) == 5; /* on a thread */
+    if (payload > 0 && !hung) {
         for (int a = 0; a < N; a++)
             for (int b = 0; b < N; b++) inertia[a][b] += payload * arm[a] * arm[b];
         inertia[N - 1][N - 1] += 0.4 * payload * f[TIP_PAYLOAD][3] * f[TIP_PAYLOAD][3];
@@ -118,6 +119,9 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         double alpha2 = r->c3 + r->c2 * stiff + r->c1 * stiff * stiff, added = alpha2 - r->c3;
         warmed(f[THERMAL_DRIFT], c->warm, &phi, &alpha2, &added);
         if (f[GLUE_FAILURE][0] > 0 && session + t > f[GLUE_FAILURE][1]) alpha2 *= 1 - f[GLUE_FAILURE][0];
+        if (f[SHAKEN_LOOSE][0] > 0) /* by a machine near by, on and off */
+            phi *= 1 - f[SHAKEN_LOOSE][0] * (0.5 + 0.5 * tanh(5 * sin(TURN * (session + t) / f[SHAKEN_LOOSE][1] +
+                                                                       f[SHAKEN_LOOSE][2])));
         double load = pull[0] + pull[1];
         const double *pressed = f[LOAD_DEPENDENT_FRICTION];
         if (pressed[0] > 0 && form(pressed) < 2) phi += pressed[0] * (form(pressed) ? load : pow(load + 1e-3, 0.75));
@@ -155,13 +159,18 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             if (f[NONUNIFORM_STIFFNESS][0] > 0) {
                 const double *d = f[NONUNIFORM_STIFFNESS];
                 double seam = form(d) == 4 ? 0.6 + 0.5 * tanh(q / 0.02) : 1; /* that resists to one side */
-                of += d[0] * d[1 + i] * seam * (d[7] * (alpha2 - added) + d[8] * added);
+                double base_share = d[7], added_share = d[8];
+                if (form(d) == 6) /* each ages in its own way, by its own bending */
+                    base_share = added_share = 1 - 0.8 * exp(-c->slip[i] / d[7]);
+                of += d[0] * d[1 + i] * seam * (base_share * (alpha2 - added) + added_share * added);
                 if (of < 0.05 * alpha2) of = 0.05 * alpha2;
             }
             double free = f[REST_CURVATURE][0] * f[REST_CURVATURE][1 + i];
             if (form(f[REST_CURVATURE]) == 3) free *= 0.3 + P / 20; /* a sheath that pulls to one side */
             if (form(f[REST_CURVATURE]) == 4) /* that it takes little by little */
                 free *= -expm1(-(session + fmax(t, 0)) / f[REST_CURVATURE][7]);
+            if (form(f[REST_CURVATURE]) == 5) /* from the reel, worked out of it by bending */
+                free *= 0.15 + 0.85 * exp(-c->slip[i] / f[REST_CURVATURE][7]);
             double sprung = form(f[REST_CURVATURE]) == 2 ? r->c3 : of;
             torque[i] = of * q - sprung * free - r->lever * (left[i] - right[i]);
             if (f[STIFFNESS_HARDENING][0] != 0) torque[i] += hardened(f[STIFFNESS_HARDENING], q, alpha2 / r->c3);
@@ -169,6 +178,8 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 double soft = 0.004, x = (f[CONTACT][2] * q - f[CONTACT][1]) / soft;
                 torque[i] += f[CONTACT][0] * f[CONTACT][2] * soft * (x > 30 ? x : log1p(exp(x)));
             }
+            if (f[COLUMN_SOFTENING][0] > 0) /* pressed lengthwise, between guides that stop it */
+                torque[i] -= f[COLUMN_SOFTENING][0] * load * 0.2 * tanh(q / 0.2);
             if (f[SNAP_THROUGH][0] > 0)
                 torque[i] -= f[SNAP_THROUGH][0] * sin(f[SNAP_THROUGH][1] * q);
             if (f[LAYER_HYSTERESIS][0] > 0 && !calm)
@@ -213,6 +224,11 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             tilt *= 1 - 0.8 * exp(-(session + fmax(t, 0)) / f[BASE_TILT][1]);
         if (form(f[BASE_TILT]) == 4) /* a stand that somebody knocks */
             tilt *= 0.5 + 0.5 * tanh((session + fmax(t, 0) - f[BASE_TILT][1]) / 0.1);
+        if (form(f[BASE_TILT]) == 5) { /* a loose clamp, to the side to which it hangs */
+            double moved = bend * bend / (bend * bend + 0.03) / 0.15;
+            s.rocker += (calm ? 0 : h) * moved * (tanh(6 * bend) - s.rocker);
+            tilt = 0.55 * tilt + 0.45 * fabs(tilt) * s.rocker;
+        }
         double tipward = r->alpha1 * cosine;
         tipward *= sinp[N - 1] * cos(tilt) - cosp[N - 1] * sin(tilt) * (1 + uneven * sinp[N - 1]);
         int touched = form(f[CONTACT]) == 4 ? (int)f[CONTACT][3] : N - 1; /* the link that meets it */
@@ -230,6 +246,23 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             if (form(f[CONTACT]) == 4) push = f[CONTACT][0] * fmax(0, depth + 0.003 * slip);
             if (form(f[CONTACT]) == 3) /* foam on something hard */
                 push = f[CONTACT][0] * (0.15 * depth + fmax(0, depth - f[CONTACT][3]));
+            if (form(f[CONTACT]) == 5) /* it yields, and comes back */
+                push = f[CONTACT][0] * (0.3 * depth + 0.7 * fmax(0, depth - s.dent));
+        }
+        if (form(f[CONTACT]) == 5 && !calm) s.dent += h * (fmax(depth, 0) - s.dent) / f[CONTACT][3];
+        double hook = 0, aback = 0, collar = 0;
+        if (payload > 0 && hung) {
+            double w2 = 9.81 / f[TIP_PAYLOAD][4];
+            for (int i = 0; i < N; i++) hook += arm[i] * sinp[i];
+            if (calm) s.swing = hook;
+            s.swing_rate += h * (w2 * (hook - s.swing) - 0.06 * sqrt(w2) * s.swing_rate);
+            if (!calm) s.swing += h * s.swing_rate;
+            aback = payload * w2 * (hook - s.swing);
+        }
+        if (form(f[GRAVITY_DISTRIBUTION]) == 5 && spread > 0) { /* a loose collar that works its way down */
+            const double *d = f[GRAVITY_DISTRIBUTION];
+            for (int i = 0; i < N; i++) collar += c->slip[i] / N / d[3];
+            collar = d[2] + (d[1] - d[2]) * exp(-collar);
         }
         double blown = 0, pulled = calm ? 0 : beside(f, &s.dragged, aside, swept, h);
         const double *air = f[DRAUGHT];
@@ -254,8 +287,11 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             if (payload > 0) {
                 around[i] += payload * 9.81 * arm[i] * sinp[i];
                 if (i == N - 1) around[i] += payload * 9.81 * f[TIP_PAYLOAD][2] * cosp[i];
+                around[i] += aback * arm[i] * cosp[i];
             }
             if (lump[i] > 0) around[i] += lump[i] * 9.81 * length[i] * sinp[i];
+            else if (spread > 0 && form(f[GRAVITY_DISTRIBUTION]) == 5)
+                around[i] += spread * 2.5 * r->mass * 9.81 * length[i] * clamp(collar - i, 0, 1) * sinp[i];
             else if (spread > 0 && form(f[GRAVITY_DISTRIBUTION]) != 4) {
                 double hose = 2 * sinp[i] * sinp[i] * (form(f[GRAVITY_DISTRIBUTION]) == 3); /* lifted off the floor */
                 around[i] += spread * weight[i] * f[GRAVITY_DISTRIBUTION][1 + i] * sinp[i] * (1 + hose);

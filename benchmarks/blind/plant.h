@@ -13,7 +13,8 @@ enum { /* the order of causes.py */
     LAYER_HYSTERESIS, LAYER_WEAR, VISCOELASTIC_CREEP, VISCOUS_DAMPING, STIFFNESS_HARDENING, REST_CURVATURE, BASE_TILT,
     TIP_PAYLOAD, GRAVITY_DISTRIBUTION, NONUNIFORM_STIFFNESS, CONTACT, FRICTION_ASYMMETRY, LOAD_DEPENDENT_FRICTION,
     THERMAL_DRIFT, JAMMED_JOINT, BASE_VIBRATION, BUCKLING_FRICTION, GLUE_FAILURE, SNAP_THROUGH, HIDDEN_PENDULUM,
-    DROPOUT, DRAUGHT, DERAILED_TENDON, PUMP_PULSES, MAGNET, ROUGH_PATCH, CAUSES
+    DROPOUT, DRAUGHT, DERAILED_TENDON, PUMP_PULSES, MAGNET, ROUGH_PATCH, COLUMN_SOFTENING, BROWNOUT, SHAKEN_LOOSE,
+    SERVO_HUNTING, CAUSES
 };
 
 typedef struct {
@@ -28,6 +29,7 @@ typedef struct {
     double first[2], tension[2], surge[2], breakaway[2], hot[2], slack[2][2], guide[N], derailed; /* actuation */
     double line, feed, fore, deep, sheath, seal;                                                  /* pressure */
     double play[N][PLAYS], branch[N][4], loading[N], pendulum, pendulum_rate, dragged;            /* structure */
+    double rocker, swing, swing_rate, dent, pump, asked[2], still[2];
     double session;
     double cable[N][2], eddy[2][4], worked[2], surging; /* further ones of actuation and pressure */
 } State;
@@ -132,6 +134,7 @@ static void actuate(const double f[][WIDTH], State *s, const double *u, int coun
         if (f[DROPOUT][0] > 0) /* a loose plug: three spells a run */
             for (int k = 1; k < 4; k++)
                 if (t > f[DROPOUT][k] && t < f[DROPOUT][k] + f[DROPOUT][0]) x *= 0.3;
+        if (f[BROWNOUT][0] > 0) x *= 1 - f[BROWNOUT][0] * s->pump / (s->pump + 0.3);
         if (f[ACTUATOR_SATURATION][0] > 0)
             x = saturated(f[ACTUATOR_SATURATION], &s->hot[i], x, other, i ? -rate : rate, h);
         if (f[ACTUATOR_DEADBAND][0] > 0)
@@ -164,6 +167,13 @@ static void actuate(const double f[][WIDTH], State *s, const double *u, int coun
                 x += 3.2 * p[0] * wave * exp(4 * (cos(teeth * angle + p[4 + i]) - 1));
             else
                 x *= 1 + p[0] / 10 * (1.5 * (fabs(wave) - 0.64) + 0.5 * sin(angle + p[6 + i]));
+        }
+        if (f[SERVO_HUNTING][0] > 0) { /* about what is asked for, once that is steady */
+            s->still[i] += h * (1 - s->still[i]) / 0.5;
+            s->still[i] *= exp(-fabs(x - s->asked[i]) / 1.5);
+            s->asked[i] = x;
+            x += f[SERVO_HUNTING][0] * s->still[i] * x / (x + 2) *
+                 asin(0.99 * sin(TURN * t / f[SERVO_HUNTING][1] + f[SERVO_HUNTING][2] + 2 * i)) / 1.43;
         }
         s->tension[i] = x > 0 ? x : 0;
     }
@@ -247,6 +257,8 @@ static double leaked(const double *f, State *s, double p, double t, double h) {
 
 /* Vacuum in the line and in the sheath [kPa] from the commanded one; t: since the run began [s]. */
 static void pressurise(const double f[][WIDTH], State *s, double commanded, double t, double h) {
+    if (f[BROWNOUT][0] > 0) /* while the pump draws its surge */
+        s->pump = s->pump * exp(-h / f[BROWNOUT][1]) + fmax(0, commanded - s->line) / 10;
     s->line = commanded;
     double inside = commanded, b = f[PRESSURE_BIAS][0];
     switch (form(f[PRESSURE_BIAS])) {

@@ -23,6 +23,7 @@ IDS = (
     *("nonuniform_stiffness", "contact", "friction_asymmetry", "load_dependent_friction", "thermal_drift"),
     *("jammed_joint", "base_vibration", "buckling_friction", "glue_failure", "snap_through", "hidden_pendulum"),
     *("dropout", "draught", "derailed_tendon", "pump_pulses", "magnet", "rough_patch"),
+    *("column_softening", "brownout", "shaken_loose", "servo_hunting"),
 )
 """The causes that act in the plant, in the order of `plant.c`."""
 WIDTH = 10

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.blind.plant import Causes, Motion, form
+from benchmarks.blind.plant import APART_S, Causes, Motion, form
 from benchmarks.recovery.experiments import PERIOD_S, Array
 
 JOINT_SD_RAD = np.radians(0.047)
@@ -25,7 +25,7 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
     t = np.arange(len(q)) * PERIOD_S
     at = t[::SHAPE_EVERY]
     if (f := causes.get("sensor_filter")) and f[0] > 0:
-        q = (_averaged, _smoothed, _exposed, _calmed, _damped)[form(f)](q, f[0])
+        q = (_averaged, _smoothed, _exposed, _calmed, _damped, _blurred)[form(f)](q, f[0])
     if f := causes.get("sensor_delay"):
         late = f[0] * np.ones(len(at))
         if form(f) == 0:
@@ -37,6 +37,8 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
             late *= spells[at.astype(int)]
         elif form(f) == 4:  # no two frames take the same time
             late *= np.random.default_rng([int(f[1]), run]).gamma(4, 0.25, len(at))
+        elif form(f) == 5:  # a thin link, on which pictures that change much queue up
+            late *= 0.3 + 1.7 * _queued(motion.q, f[1])[::SHAPE_EVERY]
         y = np.stack([np.interp(at - late, t, x) for x in q.T], axis=1)
     else:
         y = q[::SHAPE_EVERY].copy()
@@ -50,6 +52,8 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
             aside = np.cumsum(y, axis=1) if columns > 1 else 6 * y
             more = np.arctan2(f[0] * np.sin(aside) * np.cos(aside), 1 + f[0] * np.sin(aside) ** 2)
             y += np.diff(more, axis=1, prepend=0) if columns > 1 else more / 6
+        elif form(f) == 5:  # set up at another distance for each run
+            y *= 1 + f[0] * np.random.default_rng([int(f[1]), run]).normal()
         else:
             y += f[0] * y * (1 - 0.1 * (y / 0.6) ** 2 * (form(f) == 0))
     if f := causes.get("sensor_bias"):
@@ -58,6 +62,9 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
             y[at + 1e3 * (run - f[7]) >= f[8]] += f[0] * offsets
         elif form(f) == 4:  # zeroed by hand before each run
             y += f[0] * offsets * np.random.default_rng([int(f[7]), run]).normal()
+        elif form(f) == 5:  # markers that creep on their glue, as the logarithm of time
+            crept = np.log1p((run * APART_S + at) / f[7]) / np.log1p(8 * APART_S / f[7])
+            y += f[0] * offsets * (0.2 + 0.8 * crept)[:, None]
         else:
             y += f[0] * offsets * (np.cos(y) if form(f) == 0 else 1)
     if f := causes.get("edge_of_view"):  # the ends of the picture, where markers hardly get on
@@ -73,6 +80,13 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
             begin += rng.uniform(-0.7, 0.7)
             lost = (at >= begin) & (at < begin + f[0])
             y[lost] = y[lost][:1]
+    if (f := causes.get("false_detections")) and f[0] > 0:  # glints taken for a marker
+        rng = np.random.default_rng([int(f[1]), run])
+        for begin in rng.uniform(0, at[-1], 12):
+            seen = (at >= begin) & (at < begin + rng.uniform(0.03, 0.2))
+            y[seen, rng.integers(columns)] += f[0] * rng.choice([-1, 1]) * rng.uniform(0.5, 1)
+    if (f := causes.get("coarse_pixels")) and f[0] > 0:  # angles in steps
+        y = f[0] * np.round(y / f[0])
     return y
 
 
@@ -114,6 +128,22 @@ def _damped(q: Array, seconds: float) -> Array:
     x = np.arange(round(12 * seconds / PERIOD_S) + 2) * PERIOD_S / (2**0.5 * seconds)
     weight = np.diff(1 - np.exp(-x) * (np.cos(x) + np.sin(x)))
     return _weighted(q, weight / weight.sum())
+
+
+def _blurred(q: Array, seconds: float) -> Array:
+    """Smoothed afterwards, over what came before and after alike: a bell, without lag."""
+    m = max(1, round(2 * seconds / PERIOD_S))
+    weight = np.exp(-0.5 * (np.arange(-m, m + 1) * PERIOD_S / (0.5 * seconds)) ** 2)
+    return _weighted(np.concatenate([q, np.repeat(q[-1:], m, axis=0)]), weight / weight.sum())[m:]
+
+
+def _queued(q: Array, seconds: float) -> Array:
+    """(T,) 0 … 1: how full the link is that carries the pictures of this motion."""
+    rate = np.abs(np.diff(q, axis=0, prepend=q[:1])).mean(axis=1) / PERIOD_S
+    full, busy = np.zeros(len(q)), rate / (rate + 0.3)
+    for k in range(1, len(q)):
+        full[k] = full[k - 1] + (busy[k] - full[k - 1]) * -np.expm1(-PERIOD_S / seconds)
+    return full
 
 
 def _weighted(q: Array, weight: Array) -> Array:
