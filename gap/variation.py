@@ -11,7 +11,7 @@ import numpy as np
 
 from ljjax.effect import Effect
 from ljjax.effects import REGISTRY
-from ljjax.effects.varying import EACH, PILOTS, onsets, varies, varying, ways
+from ljjax.effects.varying import EACH, PILOTS, onsets, steady, varies, varying, ways
 from ljjax.fit import folds
 from ljjax.gap.candidates import Trial, either_side, path, still
 from ljjax.gap.screening import Screen, ahead
@@ -24,6 +24,9 @@ FURTHER = 0.12
 VARYING, VARIED, NEARBY, HOPELESS, NOTABLY = 3, 0.02, 2.5, 0.9, 0.75
 """How many effects alone are let vary, where the best leaves more than this share of the gap: those that leave no more
 than so many times as much, nor nearly all of it; and the share of what each left that is less by enough."""
+TOLD = 0.005
+"""The share that cannot be told from nothing on most robots: where the best leaves more, effects that may be others in
+each run are tried."""
 SOME = 0.1
 """The share of what an effect that is another in each run does in the most telling one that it begins with at least, as
 it may have no slope where there is none of it."""
@@ -83,11 +86,15 @@ class Variation:
     def let(self, single: dict[str, Refit]) -> None:
         """The best effects once more, free to vary in strength with what acts on them, where they leave much: a true
         cause seldom has the library's form. Those that then leave notably less stay so, if they also leave less of
-        conditions left out: what varies much carries over badly."""
-        ordered = sorted(single.values(), key=self.left)
-        least = self.left(ordered[0])
-        if least <= VARIED:
-            return
+        conditions left out: what varies much carries over badly. Then those that may be others in each run."""
+        if self._least(single) > VARIED:
+            self._with_what_acts(single)
+        least = self._least(single)
+        if least > TOLD:
+            self._by_run(single, np.inf if least > FURTHER else MOUNTED * least)
+
+    def _with_what_acts(self, single: dict[str, Refit]) -> None:
+        ordered, least = sorted(single.values(), key=self.left), self._least(single)
         near = [r for r in ordered if self.left(r) < NEARBY * least and self.left(r) < HOPELESS][:VARYING]
         kinds = {k.id: varying(k) for k in self.study.kinds if varies(k) and any(r.ids == (k.id,) for r in near)}
         free = self.free(kinds)
@@ -97,10 +104,10 @@ class Variation:
             self.keep({i: kinds[i] for i in kept})
             self.plain |= {i: single[i] for i in kept}
             single |= kept
-        if self._unexplained(single):
+        if self._least(single) > FURTHER:
             begun = onsets(self.study.span["slip"], ONSETS)
             self._others(single, self._sudden(), lambda kind: begun, "effects that begin at once")
-        if self._unexplained(single):
+        if self._least(single) > FURTHER:
             others = {k.id: varying(k) for k in self.study.kinds if varies(k) and k.id not in kinds}
             self._others(
                 single,
@@ -108,15 +115,12 @@ class Variation:
                 lambda kind: [{way: much} for way, much in PILOTS if way in ways(kind)],
                 "others that vary",
             )
-        unexplained, least = self._unexplained(single), min(map(self.left, single.values()))
-        if unexplained or least > VARIED:
-            self._by_run(single, np.inf if unexplained else MOUNTED * least)
 
     def by_run(self) -> dict[str, type[Effect]]:
         """What is put on, moved or set, as it may be another in each run, but for what varies otherwise already."""
         sudden = [k for k in self.study.kinds if k.sudden]
         each = {k.id: k for k in sudden if EACH.format(1) in k.fields()}
-        return each | {k.id: varying(k, self._until) for k in sudden if varies(k)}
+        return each | {k.id: varying(k, self._until) for k in sudden if steady(k)}
 
     @cached_property
     def _until(self) -> tuple[float, ...]:
@@ -136,8 +140,8 @@ class Variation:
     def _fold(self) -> np.ndarray:
         return folds.conditions(self.study.motions)[1]
 
-    def _unexplained(self, single: Mapping[str, Refit]) -> bool:
-        return min(map(self.left, single.values())) > FURTHER
+    def _least(self, single: Mapping[str, Refit]) -> float:
+        return min(map(self.left, single.values()))
 
     def _sudden(self, until: tuple[float, ...] | None = None) -> dict[str, type[Effect]]:
         """What is put on, moved or set, as it may begin at a moment, or change from run to run."""
@@ -164,13 +168,15 @@ class Variation:
         self._keep(single, found, kinds, stage)
 
     def _by_run(self, single: dict[str, Refit], within: float) -> None:
-        """Effects that promise most where they are others in each run, and to leave less than such a share of the gap:
-        of each size by the run in which it is largest, in the others as much of it as goes along with that."""
+        """Effects that promise most where they are others in each run, and to leave less than such a share of the gap,
+        or come near the best as they are: of each size by the run in which it is largest, in the others as much of it
+        as goes along with that."""
         kinds, runs = self._sudden(self._until), range(len(self.study.motions))
         alone = [{EACH.format(r + 1): float(k == r) - 1 for r in runs} for k in runs]
         screen = self._screened(kinds, lambda kind: alone)
         gain = {i: sum(screen.gains[i, k] for k in runs) for i in kinds}
-        gain = {i: x for i, x in gain.items() if 1 - x / self.gap < within}
+        near = {i for i, r in single.items() if self.left(r) < NEARBY * self._least(single)}
+        gain = {i: x for i, x in gain.items() if i in near or 1 - x / self.gap < within}
         trials = []
         for i in sorted(gain, key=lambda i: -gain[i])[:VARYING]:
             step = np.array([list(screen.steps[i, k].values()) for k in runs])

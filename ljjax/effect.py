@@ -98,6 +98,8 @@ class Effect(eqx.Module):
     """How many of the parameters `mode1`, `mode2` … show where the mean angle alone is logged."""
     sudden: ClassVar[bool] = False
     """Whether it may begin at a moment, or be another in each run: what is put on, moved, set or torn."""
+    more: ClassVar[Any] = 0.0
+    """What a delay is more at the moment, as a share of itself (`ljjax.effects.varying`)."""
     file: ClassVar[str] = ""
     """Where the class was loaded from, if it is not one of the package's."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from ljjax.effect import Effect, parameter, shape
+from ljjax.effect import Effect, Now, Vector, parameter, shape
 from ljjax.effects.shapes import (
     arm,
     bounded,
@@ -26,9 +26,10 @@ class ActuatorDelay(Effect):
     """The tensions follow their commands after a transport delay: T(t) = T_cmd(t − d). Where commands are read at a
     beat and held, or buffers fill and are emptied, it grows in between: T_cmd(t − d) − d r s Ṫ_cmd, s the sawtooth from
     −½ to ½ over the time T, at 0 at −φ T; r = 2 for a command held. Each tendon has a drive of its own: d (1 ± δ), to
-    first order in δ."""
+    first order in δ, as is what it is more, or less, in one run than in others."""
 
     id, block, axes = "actuator_delay", "actuation", ("rate", "load", "time")
+    sudden = True
     delay_seconds: jax.Array = parameter("s", 0.0, 0.0, 0.4, 0.03)
     drift: jax.Array = shape("1", 0.0, -2.0, 2.0, (0.0, 1.0), "drift")
     reset_s: jax.Array = shape("s", 5.0, 0.05, 1e3, (1.0,), "reset_s")
@@ -42,10 +43,14 @@ class ActuatorDelay(Effect):
         return self.delay_seconds
 
     def actuate(self, memory, u, now):
-        later = self.drift * sawtooth((now.t + 0.5 * now.h) / self.reset_s + self.phase)
+        later = self.more + self.drift * sawtooth((now.t + 0.5 * now.h) / self.reset_s + self.phase)
         shares = later + self.difference, later - self.difference
         late = [self.delay_seconds * share / now.h for share in shares]
         return tuple(x - part * (x - before) for x, before, part in zip(u, memory, late, strict=True)), u
+
+
+SHARPLY = 5.0
+"""How sharply a drive comes to turn about its deadband, in shares of that."""
 
 
 class ActuatorDeadband(Effect):
@@ -59,25 +64,49 @@ class ActuatorDeadband(Effect):
     band_n: jax.Array = shape("N", 1.0, 0.01, 50.0, (0.02, 0.05, 0.12), "tension")
     edge: jax.Array = shape("1", 8.0, 1.0, 8.0, (2.0, 8.0))
     fades: jax.Array = shape("1", 0.0, 0.0, 3.0, (0.5, 0.0))
+    thins: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.6, 0.0))
+    thins_s: jax.Array = shape("s", 2.0, 0.05, 100.0, (2.0,))
+
+    def start(self, now):
+        return tuple(0.0 * t for t in now.u)
 
     def actuate(self, memory, u, now):
-        shares = self.share + self.difference, self.share - self.difference
-        part = [jnp.exp(-self.fades * jnp.maximum(t / self.band_n - 1, 0.0)) for t in u]
-        left = [t - s * f * bounded(t, self.band_n, self.edge) for s, f, t in zip(shares, part, u, strict=True)]
-        return tuple(jnp.where(t > 0, positive(x), x) for t, x in zip(u, left, strict=True)), memory
+        out, after = [], []
+        for t, worked, share in zip(u, memory, (self.share + self.difference, self.share - self.difference), strict=True):
+            turns = 0.5 + 0.5 * jnp.tanh(SHARPLY * (t / self.band_n - 1))
+            mean, end = lagged(turns, worked, self.thins_s * (2 - turns), now.h)
+            part = jnp.exp(-self.fades * jnp.maximum(t / self.band_n - 1, 0.0)) * (1 - self.thins * mean)
+            x = t - share * part * bounded(t, self.band_n, self.edge)
+            out.append(jnp.where(t > 0, positive(x), x))
+            after.append(end)
+        return tuple(out), tuple(after)
+
+
+CLIMBS, CLIMBS_AT_RAD = -0.1, (0.02, 0.05, 0.1, 0.2)
+"""How much of a tension a second layer takes, and where it begins, in the searches for one."""
 
 
 class ActuatorGain(Effect):
     """The torque constant or the spool's radius is wrong: (1 + (e ± d) (1 − s + s c) ± w q_Σ) T_cmd, each tendon with a
     motor of its own; w where what is wound up makes the spool wider, or narrower (q_Σ: by how much the tendon is wound
-    up). A share s of the error comes after a run's start, as where drives warm: τ ċ = 1 − c, c = 0 at first."""
+    up), and l (1 + tanh((±q̄ − q_l ∓ δ)/q_w))/2 more where it climbs onto a second layer at a mean joint's angle of q_l.
+    A share s of the error comes after a run's start, as where drives warm: τ ċ = 1 − c, c = 0 at first."""
 
     id, block, axes = "actuator_gain", "actuation", ("load", "everywhere", "angle")
     error: jax.Array = parameter("1", 0.0, -0.6, 1.5, 0.1)
     difference: jax.Array = parameter("1", 0.0, -0.4, 0.4, 0.05)
     winding: jax.Array = parameter("1/rad", 0.0, -1.0, 1.0, 0.1)
+    layer: jax.Array = parameter("1", 0.0, -0.6, 0.6, 0.1)
+    layer_rad: jax.Array = shape("rad", 0.0, -1.0, 1.0, (0.0, 0.4), "angle")
+    layer_over_rad: jax.Array = shape("rad", 0.02, 1e-3, 0.5, (0.02,))
+    layer_apart_rad: jax.Array = shape("rad", 0.0, -0.5, 0.5, (0.0,))
     warms: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     warms_s: jax.Array = shape("s", 5.0, 0.1, 200.0, (5.0,))
+
+    @classmethod
+    def likewise(cls, values):
+        alone = dict.fromkeys(cls.sizes(), 0.0) | {"warms": 0.0, "layer": CLIMBS, "layer_apart_rad": 0.0}
+        return [{**values, **alone, "layer_rad": x, "layer_over_rad": 0.3 * x} for x in CLIMBS_AT_RAD]
 
     def start(self, now):
         return (0.0 * now.h,)
@@ -86,7 +115,12 @@ class ActuatorGain(Effect):
         mean, end = lagged(1.0 + 0.0 * now.h, memory[0], self.warms_s, now.h)
         there, wound = 1 - self.warms * (1 - mean), self.winding * sum(now.middle)
         apart = self.difference * there + wound
-        gains = 1 + self.error * there + apart, 1 + self.error * there - apart
+        angle = sum(now.middle) / len(now.middle) - self.layer_apart_rad
+        left, right = (jnp.tanh((x - self.layer_rad) / self.layer_over_rad) for x in (angle, -angle))
+        gains = (
+            1 + self.error * there + apart + self.layer * (1 + left) / 2,
+            1 + self.error * there - apart + self.layer * (1 + right) / 2,
+        )
         return tuple(g * t for g, t in zip(gains, u, strict=True)), (end,)
 
 
@@ -130,8 +164,9 @@ APART_N = 5.0
 class ActuatorLag(Effect):
     """The current or tension loop lags: τ Ṫ = T_cmd − T, and after it one of second order (loop, filter, springy
     tendon), of the time constants τ₂ (1 ± i r), which rings for r > 1. Where the loop's rate is limited τ goes with
-    (|T_cmd − T|/5 N)^p, to a rate of its own for p = 1. Each tendon has a motor of its own: τ and τ₂ are 1 ± d of
-    theirs. Exact for commands that hold over a step."""
+    (|T_cmd − T|/5 N)^p, to a rate of its own for p = 1. A share s of the tension may come later, with a time constant
+    of c τ, as where flux diffuses into iron or a tendon creeps. Each tendon has a motor of its own: τ and τ₂ are 1 ± d
+    of theirs. Exact for commands that hold over a step."""
 
     id, block, axes = "actuator_lag", "actuation", ("rate", "load", "time")
     tau_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.05)
@@ -139,19 +174,23 @@ class ActuatorLag(Effect):
     ring: jax.Array = shape("1", 0.0, 0.0, 10.0, (2.0, 0.0))
     power: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     difference: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
+    later: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.3, 0.0))
+    later_by: jax.Array = shape("1", 8.0, 1.0, 100.0, (8.0,))
 
     def start(self, now):
-        return *now.u, *now.u, *(0.0 * x for x in now.u)
+        return now.u, now.u, tuple(0.0 * x for x in now.u), now.u
 
     def actuate(self, memory, u, now):
-        means, ends, held, rates = [], [], [], []
+        means, kept = [], []
         shares = 1 + self.difference, 1 - self.difference
-        for x, share, first, second, rate in zip(u, shares, memory[:2], memory[2:4], memory[4:], strict=True):
-            once, end = pursued(x, first, share * self.tau_s, self.power, APART_N, now.h)
-            mean, later, rate = ringing(once, second, rate, share * self.second_s, self.ring, now.h)
-            for kept, value in zip((means, ends, held, rates), (mean, end, later, rate), strict=True):
-                kept.append(value)
-        return tuple(means), (*ends, *held, *rates)
+        for x, share, first, second, rate, slow in zip(u, shares, *memory, strict=True):
+            quick, end = pursued(x, first, share * self.tau_s, self.power, APART_N, now.h)
+            late, slow = lagged(x, slow, share * self.tau_s * self.later_by, now.h)
+            once = quick + self.later * (late - quick)
+            mean, held, rate = ringing(once, second, rate, share * self.second_s, self.ring, now.h)
+            means.append(mean)
+            kept.append((end, held, rate, slow))
+        return tuple(means), tuple(zip(*kept, strict=True))
 
 
 COGGING_N, SLACK_N = 10.0, 0.01
@@ -277,11 +316,18 @@ class TendonSlack(Effect):
 PRESSED_N, PRESSED_RAD, MOST = 10.0, 0.1, 3.0
 """Tension and bend at which a lining rubs the same by any power of what presses it; and the largest exponent, which
 soft linings have at small tensions."""
+LEAST_N, LEAST_HOLD = 0.05, 1e-3
+"""What counts as no tension, and as no hold on it (a power of e)."""
 
 
 def _gained(exponent: jax.Array) -> jax.Array:
     """What rubbing adds to a tension, as a share of it."""
     return jnp.expm1(jnp.minimum(exponent, MOST))
+
+
+def _pull(now: Now) -> Vector:
+    """Logarithms of the tensions."""
+    return tuple(jnp.log(jnp.maximum(u, LEAST_N)) for u in now.u)
 
 
 class TendonFriction(Effect):
@@ -291,7 +337,9 @@ class TendonFriction(Effect):
     Σ_{k ≥ j} q_k; s₀ that of all of it. Each tendon has a channel of its own: ε ± δ_ε, μ ± δ_μ. A soft lining rubs by a
     power of what presses it, an uneven one by its place: w_j = (T |q_j|/T₀ q₀)^(p − 1) (1 + g x_j), with T₀ = 10 N,
     q₀ = 0.1 rad, and x from 1 at the base to −1 at the tip. It turns round within some rotation, over which tendon and
-    liner stretch. At rest it fades, in that rotation over the rate that counts as rest."""
+    liner stretch, and, for a share h, with the tension: a cable that sticks hands on what it did, until what is lost on
+    the way changes by no more than friction can hold, joint by joint, each tendon by itself. At rest it fades, in that
+    rotation over the rate that counts as rest."""
 
     id, block, axes = "tendon_friction", "actuation", ("direction", "angle", "load")
     mu: jax.Array = parameter("1/rad", 0.0, 0.0, 6.0, 0.2)
@@ -305,27 +353,49 @@ class TendonFriction(Effect):
     still_rad_s: jax.Array = shape("rad/s", 0.02, 1e-4, 10.0, (1e-3, 0.03, 0.3))
     power: jax.Array = shape("1", 1.0, 0.3, 2.0, (0.7, 1.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
+    held: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0, 1.0))
 
     def start(self, now):
-        return tuple(0.0 * q for q in now.q)
+        still = tuple(0.0 * q for q in now.q)
+        return still, still, _pull(now)
 
-    def load(self, memory, load, now):
-        out, way = [], memory[0]
+    def _lost(self, now):
+        """What friction can hold of either tendon's tension past each joint, as a power of e; the first joint's entry
+        by itself."""
         entered = self.entry + self.liner * jnp.abs(sum(now.middle))
-        left, right = way * (entered + self.entry_difference), way * (entered - self.entry_difference)
         soft = [power(u, PRESSED_N, self.power - 1) for u in now.u]
         of_place = towards_base(self.to_base, len(now.q))
-        for i, (q, slid, place) in enumerate(zip(now.middle, memory, of_place, strict=True)):
-            wrapped = jnp.abs(q) * power(q, PRESSED_RAD, self.power - 1) * place
-            left = left + slid * (self.guide + (self.mu + self.mu_difference) * wrapped * soft[0])
-            right = right + slid * (self.guide + (self.mu - self.mu_difference) * wrapped * soft[1])
-            lost = now.u[0] * _gained(-left) - now.u[1] * _gained(right) - self.drag_n * way
-            out.append(load[i] + arm(now) * lost)
+        bends = [
+            jnp.abs(q) * power(q, PRESSED_RAD, self.power - 1) * place
+            for q, place in zip(now.middle, of_place, strict=True)
+        ]
+        left = [self.guide + (self.mu + self.mu_difference) * bend * soft[0] for bend in bends]
+        right = [self.guide + (self.mu - self.mu_difference) * bend * soft[1] for bend in bends]
+        return (entered + self.entry_difference, left), (entered - self.entry_difference, right)
+
+    def load(self, memory, load, now):
+        out, (pulled, paid_out) = [], memory[:2]
+        (first, by_left), (second, by_right) = self._lost(now)
+        left, right = pulled[0] * first, paid_out[0] * second
+        drag = self.drag_n * (pulled[0] + paid_out[0]) / 2
+        for before, a, way, b, back in zip(load, by_left, pulled, by_right, paid_out, strict=True):
+            left, right = left + way * a, right + back * b
+            out.append(before + arm(now) * (now.u[0] * _gained(-left) - now.u[1] * _gained(right) - drag))
         return tuple(out)
 
     def remember(self, memory, now, after):
-        moved, out = 0.0 * now.q[0], []
-        for way, before, later in zip(memory[::-1], now.q[::-1], after.q[::-1], strict=True):
+        pull, out = _pull(now), []
+        moved, beyond = 0.0 * now.q[0], []
+        for before, later in zip(now.q[::-1], after.q[::-1], strict=True):
             moved = moved + later - before
-            out.append(turned(way, moved, self.turn_rad, self.still_rad_s * now.h))
-        return tuple(out[::-1])
+            beyond.append(moved)
+        each = zip((1, -1), memory[:2], self._lost(now), pull, memory[2], strict=True)
+        for sense, ways, (entered, lost), new, old in each:
+            more, mine = sense * (new - old), []
+            for i, (way, hold, slid) in enumerate(zip(ways, lost, beyond[::-1], strict=True)):
+                hold = hold + entered if i == 0 else hold
+                by_tension = jnp.clip(way + self.held * more / (jnp.abs(hold) + LEAST_HOLD), -1.0, 1.0)
+                mine.append(turned(by_tension, slid, self.turn_rad, self.still_rad_s * now.h))
+                more = more - hold * (mine[-1] - way)
+            out.append(tuple(mine))
+        return (*out, pull)

@@ -99,9 +99,11 @@ class SensorFilter(Effect):
 
 class SensorDelay(Effect):
     """The shape is stamped later than it was seen (camera latency, clock offset): y(t − d). Between two settings of its
-    clock the stamps may drift: y(t − d) − d r s ẏ, s the sawtooth from −½ to ½ over the time T, at 0 at −φ T."""
+    clock the stamps may drift: y(t − d) − d r s ẏ, s the sawtooth from −½ to ½ over the time T, at 0 at −φ T; to first
+    order too what it is more, or less, in one run than in others."""
 
     id, block, axes = "sensor_delay", "sensing", ("rate", "time")
+    sudden = True
     delay_seconds: jax.Array = parameter("s", 0.0, 0.0, 0.4, 0.03)
     drift: jax.Array = shape("1", 0.0, -2.0, 2.0, (0.0, 1.0), "drift")
     reset_s: jax.Array = shape("s", 5.0, 0.5, 1e3, (1.0,), "reset_s")
@@ -114,5 +116,6 @@ class SensorDelay(Effect):
         return self.delay_seconds
 
     def sense(self, memory, y, now):
-        late = self.delay_seconds * self.drift * sawtooth((now.t + now.h) / self.reset_s + self.phase)
+        share = self.more + self.drift * sawtooth((now.t + now.h) / self.reset_s + self.phase)
+        late = self.delay_seconds * share
         return tuple(x - late * (x - before) / now.h for x, before in zip(y, memory, strict=True)), tuple(y)

@@ -109,8 +109,16 @@ def _each(until: tuple[float, ...]) -> type[_Varying]:
 
 
 @cache
+def _late(kind: type[Effect]) -> type[Effect]:
+    """The same delay, that may be more."""
+    body = {"__module__": __name__, "__annotations__": {"more": Array}, "more": 0.0}
+    return cast(type[Effect], types.new_class(kind.__name__, (kind,), exec_body=lambda n: n.update(body)))
+
+
+@cache
 def varying(kind: type[Effect], until: tuple[float, ...] | None = None) -> type[Effect]:
-    """The effect of the same id that varies; at the null values of `WAYS` it is `kind`. A transport delay does not.
+    """The effect of the same id that varies; at the null values of `WAYS` it is `kind`. A transport delay is m times
+    what it says to first order in m − 1.
 
     Args:
         until: slip [rad] that parts the starts of runs, where it is another in each; of any number of runs.
@@ -121,6 +129,8 @@ def varying(kind: type[Effect], until: tuple[float, ...] | None = None) -> type[
     def at(self: Any, m: Array) -> Effect:
         """The effect of a step; sizes that have but one sign keep it where a run has the other."""
         values = {n: getattr(self, n) for n in kind.fields()}
+        if _delays(kind):
+            return _late(kind)(**values, more=m - 1)
         for n in kind.sizes():
             null, low = kind.fields()[n]["null"], kind.fields()[n]["low"]
             moved = null + m * (values[n] - null) if null else m * values[n]
@@ -221,9 +231,17 @@ def onsets(slip_rad: float, count: int) -> list[dict[str, float]]:
 
 
 def varies(kind: type[Effect]) -> bool:
-    """Whether anything that an effect does can vary, and does not yet: a transport delay cannot."""
-    delays = kind.delay_s is not Effect.delay_s or kind.latency_s is not Effect.latency_s
-    if issubclass(kind, _Varying) or delays:
+    """Whether anything that an effect does can vary with what acts on it, and does not yet: a transport delay cannot."""
+    if not steady(kind) or _delays(kind):
         return False
     hooks = ("actuate", "evacuate", "alpha2", "phi", "slip", "load", "torque", "sense")
     return any(getattr(kind, name) is not getattr(Effect, name) for name in hooks)
+
+
+def steady(kind: type[Effect]) -> bool:
+    """Whether an effect does not vary yet."""
+    return not issubclass(kind, _Varying)
+
+
+def _delays(kind: type[Effect]) -> bool:
+    return kind.delay_s is not Effect.delay_s or kind.latency_s is not Effect.latency_s

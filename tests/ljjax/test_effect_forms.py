@@ -70,6 +70,16 @@ def test_a_gains_error_may_come_after_the_start():
         assert float(right) == pytest.approx(10.0 * (1 + 0.08 * came - 0.015), rel=1e-5)
 
 
+def test_a_cable_may_climb_onto_a_second_layer():
+    """On the left spool once the mean joint has bent by 0.1 + 0.02 rad to its side, on the right one by 0.1 − 0.02."""
+    kind: Any = REGISTRY["actuator_gain"]
+    gain = kind(layer=-0.2, layer_rad=0.1, layer_over_rad=1e-3, layer_apart_rad=0.02)
+    for angle, expected in ((0.11, (5.0, 5.0)), (0.13, (4.0, 5.0)), (-0.07, (5.0, 5.0)), (-0.09, (5.0, 4.0))):
+        now: Any = SimpleNamespace(middle=(jnp.asarray(2 * angle), jnp.zeros(())), h=jnp.asarray(0.01))
+        tensions, _ = gain.actuate(gain.start(now), (jnp.asarray(5.0), jnp.asarray(5.0)), now)
+        np.testing.assert_allclose(np.array(tensions), expected, rtol=1e-5)
+
+
 def test_a_sheath_fills_behind_its_line():
     kind: Any = REGISTRY["pressure_lag"]
     lag, h = kind(fill_s=0.2, vent_s=0.1, power=0.0, second=0.5), 0.001
@@ -260,7 +270,7 @@ def test_a_soft_lining_rubs_no_more_than_so_much_at_small_tensions():
     for u in (0.1, 0.0):
         now: Any = SimpleNamespace(middle=(rest,) * 6, q=(rest,) * 6, u=(jnp.zeros(()), jnp.asarray(u)), model=None)
         now.model = SimpleNamespace(lever=None, chain=SimpleNamespace(lever_arm_m=jnp.asarray(0.02)))
-        felt = np.asarray(rubs.load((one,) * 6, (jnp.zeros(()),) * 6, now))
+        felt = np.asarray(rubs.load(((one,) * 6, (one,) * 6), (jnp.zeros(()),) * 6, now))
         np.testing.assert_allclose(felt, -0.02 * u * np.expm1(3.0), rtol=1e-4)
 
 
@@ -297,10 +307,10 @@ def test_a_wheel_off_its_centre_ripples_more_on_one_side_of_its_turn():
 def test_a_loop_of_limited_rate_goes_at_that_rate_whatever_the_step(h):
     """A jump of 10 N at 5 N/0.01 s."""
     kind: Any = REGISTRY["actuator_lag"]
-    lag, memory, out = kind(tau_s=0.01, power=1.0), (jnp.asarray(2.0),) * 4 + (jnp.zeros(()),) * 2, []
+    lag, memory, out = kind(tau_s=0.01, power=1.0), ((jnp.asarray(2.0),) * 2,) * 2 + ((jnp.zeros(()),) * 2,) * 2, []
     for _ in range(round(0.08 / h)):
         (mean, _), memory = lag.actuate(memory, (jnp.asarray(12.0),) * 2, SimpleNamespace(h=jnp.asarray(h)))
-        out.append((float(mean), float(memory[0])))
+        out.append((float(mean), float(memory[0][0])))
     ends = h * np.arange(1, len(out) + 1)
     ramp = np.minimum(2 + 500 * np.linspace(0, 0.08, 8001), 12.0)
     means = ramp[:-1].reshape(len(out), -1).mean(axis=1)
@@ -312,8 +322,21 @@ def test_each_motor_may_lag_in_its_own_way():
     lag = kind(tau_s=0.1, second_s=0.05, difference=1.0)
     zero = jnp.zeros(())
     now: Any = SimpleNamespace(h=jnp.asarray(0.01))
-    (left, right), _ = lag.actuate((zero,) * 6, (jnp.asarray(4.0), jnp.asarray(4.0)), now)
+    (left, right), _ = lag.actuate(((zero, zero),) * 4, (jnp.asarray(4.0), jnp.asarray(4.0)), now)
     assert float(left) < 0.1 and float(right) == 4.0
+
+
+def test_a_share_of_the_tension_may_come_later():
+    """0.7 of 4 N with a time constant of 0.1 s, 0.3 of it with one of 0.8 s."""
+    kind: Any = REGISTRY["actuator_lag"]
+    lag, u, now = kind(tau_s=0.1, later=0.3), (jnp.asarray(4.0), jnp.zeros(())), SimpleNamespace(h=jnp.asarray(0.01))
+    memory = ((jnp.zeros(()),) * 2,) * 4
+    for k in range(60):
+        (left, _), memory = lag.actuate(memory, u, now)
+        if k % 10 == 9:  # means of steps
+            t = (k + 0.5) * 0.01
+            came = 1 - 0.7 * np.exp(-t / 0.1) - 0.3 * np.exp(-t / 0.8)
+            assert float(left) == pytest.approx(4.0 * came, rel=1e-2)
 
 
 def test_load_presses_by_a_power_of_it_more_towards_the_base_and_more_where_it_goes_round_a_bend():
@@ -574,10 +597,26 @@ def test_slack_cable_tightens_little_by_little_from_no_more_than_there_is(h):
 
 def test_what_turns_may_rub_less_the_more_it_is_drawn():
     kind: Any = REGISTRY["actuator_deadband"]
-    band, now = kind(share=1.0, band_n=2.0, edge=8.0, fades=0.5), SimpleNamespace()
     drawn: Any = (jnp.asarray(1.0), jnp.asarray(10.0))
-    (below, above), _ = band.actuate((), drawn, now)
+    band, now = kind(share=1.0, band_n=2.0, edge=8.0, fades=0.5), SimpleNamespace(u=drawn, h=jnp.asarray(0.01))
+    (below, above), _ = band.actuate(band.start(now), drawn, now)
     np.testing.assert_allclose((below, above), (0.0, 10 - 2 * np.exp(-2.0)), atol=2e-3)
+
+
+def test_grease_may_thin_while_it_is_worked_and_set_again_at_rest():
+    """Of 2 N three quarters, with 0.5 s while it turns and twice that while it does not."""
+    kind: Any = REGISTRY["actuator_deadband"]
+    band = kind(share=1.0, band_n=2.0, edge=8.0, fades=0.0, thins=0.75, thins_s=0.5)
+    drawn, none = (jnp.asarray(10.0),) * 2, (jnp.zeros(()),) * 2
+    now: Any = SimpleNamespace(u=drawn, h=jnp.asarray(0.01))
+    memory, worked = band.start(now), 0.0
+    for k in range(150):
+        turns = k < 50 or k >= 100
+        (left, _), memory = band.actuate(memory, drawn if turns else none, now)
+        before, end = worked, 1.0 if turns else 0.0
+        worked = end + (worked - end) * np.exp(-0.01 / (0.5 if turns else 1.0))
+        if turns:
+            assert 10 - float(left) == pytest.approx(2 * (1 - 0.75 * (before + worked) / 2), abs=2e-3)
 
 
 def test_friction_differs_more_the_more_a_joint_is_bent():
@@ -632,7 +671,7 @@ def test_a_soft_lining_rubs_by_a_power_of_what_presses_it_and_an_uneven_one_by_i
         now: Any = SimpleNamespace(
             model=model, q=(zero, zero), middle=tuple(map(jnp.asarray, q)), u=(jnp.asarray(tension), zero)
         )
-        load = kind(mu=0.01, **form).load((jnp.asarray(1.0),) * 2, (zero, zero), now)
+        load = kind(mu=0.01, **form).load(((jnp.asarray(1.0),) * 2,) * 2, (zero, zero), now)
         return -np.array(list(map(float, load))) / float(model.chain.lever_arm_m)
 
     bent = (0.2, 0.05)
@@ -641,6 +680,25 @@ def test_a_soft_lining_rubs_by_a_power_of_what_presses_it_and_an_uneven_one_by_i
     second = 0.0005 * (20 * 0.05 / (10 * 0.1)) ** -0.3
     np.testing.assert_allclose(lost(20.0, bent, power=0.7), 20 * np.cumsum([first, second]), rtol=2e-3)
     np.testing.assert_allclose(lost(20.0, bent, to_base=0.5), 20 * np.cumsum([0.003, 0.00025]), rtol=2e-3)
+
+
+def test_a_cable_that_sticks_hands_on_its_tension_until_friction_can_hold_no_more(robot):
+    """Two bends of 0.2 rad, each of which holds e^0.1: after the first 10 N the tension falls by steps of a hundredth."""
+    kind: Any = REGISTRY["tendon_friction"]
+    cable, model, zero = kind(mu=0.5, held=1.0, still_rad_s=1e-4), robot(2), jnp.zeros(())
+    bent = (jnp.asarray(0.2),) * 2
+
+    def at(tension: float) -> Any:
+        u = (jnp.asarray(tension), zero)
+        return SimpleNamespace(model=model, q=bent, middle=bent, u=u, h=jnp.asarray(1e-6))
+
+    memory, pull = cable.start(at(10.0)), 10.0
+    for k in range(1, 41):
+        memory = cable.remember(memory, at(pull := 10.0 * np.exp(-0.01 * k)), SimpleNamespace(q=bent))
+        load = np.array(list(map(float, cable.load(memory, (zero, zero), at(pull)))))
+        beyond = pull + load / float(model.chain.lever_arm_m)
+        first = min(10.0, pull * np.exp(0.1))
+        np.testing.assert_allclose(beyond, [first, min(10.0, first * np.exp(0.1))], rtol=1e-3)
 
 
 def test_a_command_may_be_read_at_a_beat_and_held():

@@ -351,7 +351,7 @@ def test_the_moment_at_which_an_effect_begins_has_the_right_derivative(robot):
 def test_what_is_put_on_moved_or_set_may_begin_at_a_moment():
     begun = {i for i, k in REGISTRY.items() if "by_onset" in varying(k).fields()}
     moved = {"rest_curvature", "base_tilt", "tip_payload", "contact", "sensor_bias"}
-    assert begun == moved | {"pressure_bias", "pressure_leak"}
+    assert begun == moved | {"pressure_bias", "pressure_leak", "actuator_delay", "sensor_delay"}
     first, last = onsets(48.0, 24)[::23]
     assert (first["onset_rad"], last["onset_rad"], first["over_rad"]) == (1.0, 47.0, 0.48)
 
