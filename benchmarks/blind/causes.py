@@ -223,6 +223,11 @@ def _warming(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [float(rng.integers(2)), rng.choice([-1.0, 1.0])]
 
 
+def _lean(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """How much more to one side."""
+    return [rng.choice([-1.0, 1.0]) * rng.uniform(0.4, 0.8)]
+
+
 def _joint(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [float(rng.integers(JOINTS)), rng.uniform(0, 6)]
 
@@ -373,6 +378,7 @@ LISTED = (
             *_alike(1, 8, _none, _none, _none),
             *_alike(0.3, 1, _between((6, 12)), _between((5, 14))),
             Shape(0.2, 0.85, _none),
+            Shape(3, 30, _none),
         ),
     ),
     Cause(
@@ -380,6 +386,7 @@ LISTED = (
         (
             Shape(1, 8, _none),
             *_alike(0.3, 1, _between((1.5, 6)), _between((2, 7)), _between((5, 12)), _between((4, 12))),
+            Shape(0.3, 1, _between((12, 22))),
         ),
     ),
     Cause(
@@ -390,6 +397,7 @@ LISTED = (
             Shape(0.04, 1, _between((0.02, 0.05)), ("angle",)),
             Shape(0.02, 0.3, _none, ("pressure",)),
             Shape(0.02, 0.3, _between((0.02, 0.06))),
+            Shape(0.02, 0.3, _between((0.02, 0.06), (0.01, 0.04)), ("time", "rate")),
         ),
     ),
     Cause(
@@ -399,6 +407,7 @@ LISTED = (
             Shape(0.3, 4, _between((1, 5))),
             Shape(0.3, 0.9, _between((4, 12))),
             Shape(0.3, 0.9, _between((4, 15)), ("pressure",)),
+            Shape(0.3, 0.9, _between((0.3, 1.5)), ("angle",)),
         ),
     ),
     Cause(
@@ -406,6 +415,7 @@ LISTED = (
         (
             *_alike(0.3, 6, _none, _between((0.5, 6)), _between((2, 10)), _between((0.5, 4), (3, 8))),
             Shape(0.3, 5, _between((0.5, 5), (0.08, 0.16)), ("angle",)),
+            Shape(0.3, 6, _between((0.2, 0.8), (0.04, 0.1)), ("angle",)),
         ),
     ),
     Cause(
@@ -415,6 +425,7 @@ LISTED = (
             Shape(0.1, 6, _none),
             Shape(0.1, 3, _none, ("angle",)),
             Shape(0.05, 1.5, _none, ("pressure",)),
+            Shape(0.1, 3, _between((2, 8), (0.05, 0.2)), ("time",)),
         ),
     ),
     Cause(
@@ -424,6 +435,7 @@ LISTED = (
             Shape(1, 20, _between((0.07, 0.14)), ("pressure",)),
             Shape(2, 40, _between((0.06, 0.12))),
             Shape(0.5, 20, _between((0.28, 0.45))),
+            Shape(3, 400, _lean),
         ),
     ),
     Cause(
@@ -489,7 +501,11 @@ LISTED = (
     ),
     Cause(
         *("friction_asymmetry", "friction", ("direction",)),
-        (*_alike(0.1, 0.65, _none, _none, _none), Shape(0.1, 0.65, _none, ("angle",))),
+        (
+            *_alike(0.1, 0.65, _none, _none, _none),
+            Shape(0.1, 0.65, _none, ("angle",)),
+            Shape(0.1, 0.65, _none, ("pressure",)),
+        ),
         signed=True,
     ),
     Cause(
@@ -499,6 +515,7 @@ LISTED = (
             Shape(0.2, 4, _none, ("segment",)),
             Shape(0.2, 4, _none, ("angle",)),
             Shape(0.2, 4, _none),
+            Shape(0.2, 4, _between((1.5, 6)), ("time",)),
         ),
     ),
     Cause(
@@ -507,6 +524,7 @@ LISTED = (
             *_alike(0.2, 2.5, _which, _warming),
             Shape(0.2, 0.8, _between((1.5, 4))),
             *_alike(0.2, 2.5, _between((4, 12)), _between((4, 12))),
+            Shape(0.2, 2.5, _between((40, 150))),
         ),
     ),
     Cause(

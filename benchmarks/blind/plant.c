@@ -72,6 +72,9 @@ int run(const double *robot, const double *causes, double *carried, int count, c
     }
     s.sheath = s.line = s.feed = s.fore = s.deep = vacuum[0];
     s.session = session;
+    s.pressed = u[0] + u[1];
+    if (form(f[THERMAL_DRIFT]) == 5) c->core = soaked(f[THERMAL_DRIFT], c->core, c->warm, session - c->ended);
+    c->ended = session + count * period;
     int settle = f[REST_CURVATURE][0] != 0 || f[BASE_TILT][0] != 0 || payload > 0;
     actuate(f, &s, u, count, 0, period, 0, r->lever);
     double h = period / substeps, half = h / 2;
@@ -84,6 +87,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             for (int i = 0; i < N; i++) {
                 s.v[i] = s.omega_mid[i] = s.z[i] = s.guide[i] = 0;
                 for (int k = 0; k < PLAYS; k++) s.play[i][k] = form(f[LAYER_HYSTERESIS]) % 3 == 0 ? s.q[i] : 0;
+                if (form(f[LAYER_HYSTERESIS]) == 5) s.play[i][1] = 60;
                 for (int k = 0; k < 4; k++) s.branch[i][k] = s.q[i];
                 s.pendulum += s.q[i];
             }
@@ -117,7 +121,8 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         /* The pressure's laws. */
         double stiff = stiffening(f[STIFFNESS_SATURATION], P), phi = rubbing(r, f[FRICTION_SATURATION], P), fresh = phi;
         double alpha2 = r->c3 + r->c2 * stiff + r->c1 * stiff * stiff, added = alpha2 - r->c3;
-        warmed(f[THERMAL_DRIFT], c->warm, &phi, &alpha2, &added);
+        if (form(f[THERMAL_DRIFT]) != 5) warmed(f[THERMAL_DRIFT], c->warm, &phi, &alpha2, &added);
+        else warmed_inside(f[THERMAL_DRIFT], c, &phi, &alpha2, &added, calm ? 0 : h);
         if (f[GLUE_FAILURE][0] > 0 && session + t > f[GLUE_FAILURE][1]) alpha2 *= 1 - f[GLUE_FAILURE][0];
         if (f[SHAKEN_LOOSE][0] > 0) /* by a machine near by, on and off */
             phi *= 1 - f[SHAKEN_LOOSE][0] * (0.5 + 0.5 * tanh(5 * sin(TURN * (session + t) / f[SHAKEN_LOOSE][1] +
@@ -125,6 +130,11 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         double load = pull[0] + pull[1];
         const double *pressed = f[LOAD_DEPENDENT_FRICTION];
         if (pressed[0] > 0 && form(pressed) < 2) phi += pressed[0] * (form(pressed) ? load : pow(load + 1e-3, 0.75));
+
+        if (pressed[0] > 0 && form(pressed) == 5) { /* contacts that soon grow under load and slowly part */
+            s.pressed += (load - s.pressed) * -expm1(-h / (load > s.pressed ? 0.3 : pressed[1]));
+            phi += pressed[0] * s.pressed;
+        }
 
         /* Half a step of q, and what depends on q. */
         double psi[N], cosp[N], sinp[N], bend = 0, torque[N], phi_i[N], extra[N], asymmetry[N], around[N];
@@ -183,7 +193,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             if (f[SNAP_THROUGH][0] > 0)
                 torque[i] -= f[SNAP_THROUGH][0] * sin(f[SNAP_THROUGH][1] * q);
             if (f[LAYER_HYSTERESIS][0] > 0 && !calm)
-                torque[i] += f[LAYER_HYSTERESIS][0] * remembered(f[LAYER_HYSTERESIS], s.play[i], q, h * s.v[i], P);
+                torque[i] += f[LAYER_HYSTERESIS][0] * remembered(f[LAYER_HYSTERESIS], s.play[i], q, h * s.v[i], P, h);
             if (f[VISCOELASTIC_CREEP][0] > 0 && !calm)
                 torque[i] += f[VISCOELASTIC_CREEP][0] * crept(f[VISCOELASTIC_CREEP], s.branch[i], q, h);
             if (f[BASE_VIBRATION][0] > 0)
@@ -202,6 +212,12 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 case 1: phi_i[i] *= 1 + f[LAYER_WEAR][0] * expm1(-slid); break;
                 case 3: phi_i[i] *= 1 - f[LAYER_WEAR][0] / (1 + pow(slid + 1e-6, -4)); break; /* a coat wears through */
                 case 4: phi_i[i] *= fmax(0.1, 1 - f[LAYER_WEAR][0] * slid); break;
+                case 5: { /* a track, at the angles where it has slid */
+                    int k = beneath(q, &x);
+                    slid = ((1 - x) * c->track[i][k] + x * c->track[i][k + 1]) / f[LAYER_WEAR][1];
+                    phi_i[i] *= 1 + f[LAYER_WEAR][0] * expm1(-slid);
+                    break;
+                }
                 default: phi_i[i] /= 1 + f[LAYER_WEAR][0] * log1p(slid);
                 }
             }
@@ -213,7 +229,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             }
             asymmetry[i] = 1;
             if (f[FRICTION_ASYMMETRY][0] != 0)
-                asymmetry[i] += lopsided(f[FRICTION_ASYMMETRY], &s.loading[i], q, s.v[i], calm ? 0 : h);
+                asymmetry[i] += lopsided(f[FRICTION_ASYMMETRY], &s.loading[i], q, s.v[i], P, calm ? 0 : h);
             extra[i] = calm ? 0.3 : 0;
         }
         /* In absolute angles: gravity, Coriolis, contact. */
@@ -322,7 +338,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                     tau[i] = torque[i] + phi_i[i] * ((1 + memory) * mid_z[i] - memory * s.z[i] + r->sigma2 * v);
                     d_tau[i] = phi_i[i] * ((1 + memory) * d_z[i] + r->sigma2);
                     if (f[VISCOUS_DAMPING][0] > 0)
-                        tau[i] += damped(f[VISCOUS_DAMPING], i, s.q[i], v, alpha2 / r->c3, &d_tau[i]);
+                        tau[i] += damped(f[VISCOUS_DAMPING], i, s.q[i], v, alpha2 / r->c3, s.sheared[i], &d_tau[i]);
                 }
                 relative += mid[i] - s.v[i];
                 gain[i] = relative;
@@ -355,6 +371,14 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             double pressing = form(f[LAYER_WEAR]) == 2 ? fresh / (r->c4 + r->c5 * sqrt(20)) : 1;
             if (form(f[LAYER_WEAR]) == 4) pressing = P / 20;
             if (!calm) c->slip[i] += h * fabs(mid[i]) * pressing;
+            if (!calm && form(f[LAYER_WEAR]) == 5) {
+                double share, slid = h * fabs(mid[i]);
+                int k = beneath(s.q[i], &share);
+                c->track[i][k] += (1 - share) * slid, c->track[i][k + 1] += share * slid;
+            }
+            if (!calm && form(f[VISCOUS_DAMPING]) == 5)
+                s.sheared[i] += h * (fabs(mid[i]) * (1 - s.sheared[i]) / f[VISCOUS_DAMPING][2] -
+                                    s.sheared[i] / f[VISCOUS_DAMPING][1]);
             if (!(fabs(s.q[i]) < 3)) return 1;
         }
     }

@@ -5,6 +5,7 @@
 #define N 6
 #define WIDTH 10
 #define PLAYS 4
+#define TRACK 17
 #define TURN 6.283185307
 
 enum { /* the order of causes.py */
@@ -21,8 +22,9 @@ typedef struct {
     double half_length, radius, lever, mass, alpha1, c1, c2, c3, c4, c5, sigma1, sigma2, sigma3, mu_c, mu_s, v_s;
 } Robot;
 
-/* What one run leaves to the next: accumulated slip [rad] of each joint, warmth [K], of the sensor too. */
-typedef struct { double slip[N], warm, felt; } Carried;
+/* What one run leaves to the next: accumulated slip [rad] of each joint, warmth [K], of the sensor too; slip of each
+   joint by angle; warmth of the layers, and when they had it [s]. */
+typedef struct { double slip[N], warm, felt, track[N][TRACK], core, ended; } Carried;
 
 typedef struct {
     double q[N], v[N], z[N], omega_mid[N];
@@ -30,6 +32,7 @@ typedef struct {
     double line, feed, fore, deep, sheath, seal;                                                  /* pressure */
     double play[N][PLAYS], branch[N][4], loading[N], pendulum, pendulum_rate, dragged;            /* structure */
     double rocker, swing, swing_rate, dent, pump, asked[2], still[2];
+    double sheared[N], pressed;                                                                   /* layers, grease */
     double session;
     double cable[N][2], eddy[2][4], worked[2], surging; /* further ones of actuation and pressure */
 } State;

@@ -30,6 +30,8 @@ WIDTH = 10
 FORM = WIDTH - 1
 """Where a cause's numbers say which of its shapes it has."""
 JOINTS = 6
+TRACK = 17
+"""Angles at which a joint keeps its wear."""
 APART_S = 75.0
 """From the start of one run to the start of the next."""
 SUBSTEPS = 20
@@ -110,7 +112,7 @@ def session(
         if name not in IDS:  # of the camera
             continue
         rows[IDS.index(name), : len(numbers)] = numbers
-    carried = np.zeros(JOINTS + 2)
+    carried = np.zeros(JOINTS + 2 + JOINTS * TRACK + 2)
     motions = []
     for i, run in enumerate(runs):
         count = len(run.pressure_kpa)
@@ -128,6 +130,6 @@ def session(
         if failed:
             raise Diverged(f"{', '.join(causes) or 'no cause'}: run {i} diverged")
         motions.append(Motion(*out))
-        carried[JOINTS:] *= np.exp(-(APART_S - count * PERIOD_S) / 260)
+        carried[JOINTS : JOINTS + 2] *= np.exp(-(APART_S - count * PERIOD_S) / 260)
         carried[JOINTS + 1] = carried[JOINTS]
     return motions

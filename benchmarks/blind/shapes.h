@@ -11,6 +11,9 @@ static double stiffening(const double *f, double P) {
     case 2: return -20 / f[0] * expm1(-knee);
     case 3: x = P * P / (f[1] * f[1]); return (1 - f[0]) * P + f[0] * 25 * x / (1 + x);
     case 5: return 20 * pow(P / 20, 1 - f[0]); /* as a root */
+    case 6: /* in proportion until they touch, then as soil is consolidated: by the logarithm */
+        x = 20 / f[0];
+        return (P < x ? P : x * (1 + log(P / x))) * (f[0] > 1 ? f[0] / (1 + log(f[0])) : 1);
     default: /* the layers lie flat, at a knee */
         return (1 - f[0]) * P + f[0] * 17.5 / f[1] * (P - hypot(P - f[1], 2) + hypot(f[1], 2));
     }
@@ -24,6 +27,8 @@ static double rubbing(const Robot *r, const double *f, double P) {
     double met = P * P * P / (f[1] * f[1] * f[1]), usually = 8000 / (f[1] * f[1] * f[1]);
     if (form(f) == 3) other = (1 + usually) / usually * met / (1 + met); /* layers must meet first */
     if (form(f) == 4) other = fmin(P, f[1]) / fmin(20, f[1]); /* in proportion, up to a limit */
+    if (form(f) == 5) /* beyond a peak the sheath's folds carry the load past the layers */
+        other = P / 20 * (f[1] * f[1] + 400) / (f[1] * f[1] + P * P);
     return r->c4 + r->c5 * ((1 - f[0]) * usual + f[0] * sqrt(20) * other);
 }
 
@@ -51,8 +56,28 @@ static void warmed(const double *f, double warm, double *phi, double *alpha2, do
     if (f[1] < 0.5) *phi *= share; else *alpha2 *= share, *added *= share;
 }
 
+/* The same where it is the layers' warmth that counts, to which the heat must get first. */
+static void warmed_inside(const double *f, Carried *c, double *phi, double *alpha2, double *added, double h) {
+    c->core += h * (c->warm - c->core) / f[1];
+    double x = f[0] * c->core / 10, share = 1 / (1 + 0.3 * x);
+    *phi /= 1 + x, *alpha2 *= share, *added *= share;
+}
+
+/* Warmth of the layers at the start of a run, after a pause [s] in which both cooled. */
+static double soaked(const double *f, double core, double warm, double pause) {
+    double along = warm / (1 - f[1] / 260);
+    return along + (core - along * exp(pause / 260)) * exp(-pause / f[1]);
+}
+
+/* What of a joint's track lies beside angle q: the place in it of the first of two, and the share of the second. */
+static int beneath(double q, double *share) {
+    double at = clamp(q / 0.05 + TRACK / 2, 0, TRACK - 1.001);
+    *share = at - (int)at;
+    return (int)at;
+}
+
 /* Layers that remember: shares of their torque. */
-static double remembered(const double *f, double play[PLAYS], double q, double dq, double P) {
+static double remembered(const double *f, double play[PLAYS], double q, double dq, double P, double h) {
     static const double width[PLAYS] = {0.01, 0.03, 0.07, 0.14}, share[PLAYS] = {0.4, 0.28, 0.2, 0.12};
     double x = 0.25 * tanh(q / 0.25), sum = 0, *z = play, steep;
     if (form(f) == 3) { /* springs that slip, the later the more they are pressed */
@@ -62,6 +87,12 @@ static double remembered(const double *f, double play[PLAYS], double q, double d
             sum += share[k] * (q - play[k]) / 0.03;
         }
         return sum;
+    }
+    if (form(f) == 5) { /* they bond the better the longer they lie: by the age of their contacts [s] */
+        play[1] += h + play[1] * expm1(-fabs(dq) / f[2]);
+        steep = sign(dq * *z) / (0.4 + 0.35 * log1p(play[1] / 0.1));
+        *z = clamp(*z + dq / f[1] * (1 - steep * fabs(*z)), -4, 4);
+        return *z * (0.35 + P / 25);
     }
     if (form(f) == 4) { /* Dahl's model, with a square */
         steep = 1 - sign(dq) * *z;
@@ -101,12 +132,17 @@ static double crept(const double *f, double branch[4], double q, double h) {
         branch[0] += over * -expm1(-h / f[1]);
         return over;
     }
+    if (form(f) == 5) { /* the farther it has flowed, the more slowly it flows */
+        branch[0] += over * -expm1(-h / (f[1] * (1 + branch[0] * branch[0] / (f[2] * f[2]))));
+        return q - branch[0];
+    }
     branch[0] += h / f[1] * (form(f) == 1 ? over : 0.04 * sinh(clamp(over / 0.04, -7, 7)));
     return q - branch[0];
 }
 
-/* Torque of joint i's damping, and its slope added; stiff: its stiffness over that without vacuum. */
-static double damped(const double *f, int i, double q, double v, double stiff, double *slope) {
+/* Torque of joint i's damping, and its slope added; stiff: its stiffness over that without vacuum; worked: how thin its
+   grease has become. */
+static double damped(const double *f, int i, double q, double v, double stiff, double worked, double *slope) {
     double v0 = 0.25, of = f[0] * (0.4 + 0.24 * i);
     if (form(f) == 0) {
         *slope += f[0] / sqrt(1 + v * v / (v0 * v0));
@@ -115,6 +151,11 @@ static double damped(const double *f, int i, double q, double v, double stiff, d
     if (form(f) == 4) { /* in proportion to the stiffness */
         *slope += f[0] * stiff;
         return f[0] * stiff * v;
+    }
+    if (form(f) == 5) { /* that thins while it is worked and sets at rest */
+        of = f[0] * (1 - 0.85 * worked);
+        *slope += of;
+        return of * v;
     }
     if (form(f) == 3) { /* grease that is squeezed where it is bent */
         of = f[0] * (0.2 + fmin(q * q / 0.02, 4));
@@ -136,16 +177,18 @@ static double hardened(const double *f, double q, double share) {
         double x = q * q / (f[1] * f[1]);
         return f[0] * q * x / (1 - fmin(x, 0.8));
     }
+    if (form(f) == 5) return f[0] * q * q * q * (1 + f[1] * tanh(q / 0.03)); /* to one side more than to the other */
     double x = clamp(q / f[1], -6, 6);
     return f[0] * share * f[1] * (sinh(x) - x);
 }
 
 /* By how much loading rubs more than unloading, or one way more than the other: shares of the usual friction. */
-static double lopsided(const double *f, double *loading, double q, double v, double h) {
+static double lopsided(const double *f, double *loading, double q, double v, double P, double h) {
     if (form(f) == 0) return f[0] * tanh(q / 0.02) * tanh(v / 0.01);
     if (form(f) == 1) return f[0] * tanh(q / 0.002) * tanh(v / 0.002);
     *loading += clamp(h * fabs(v) / 0.02, 0, 1) * (sign(q * v) - *loading);
     if (form(f) == 2) return f[0] * *loading;
+    if (form(f) == 4) return 1.3 * f[0] * *loading * P / (P + 6); /* scales that catch where they are pressed */
     return 1.4 * f[0] * *loading * q * q / (q * q + 0.0009); /* the more, the more it is bent */
 }
 
