@@ -191,7 +191,7 @@ def page(found: Screen) -> str:
         *(f"| {_parameter(name, able[name])} | {what} |" for name, what in ONSET.items()),
         "",
         "Or it may be another in each run: m is also times 1 + cᵣ, `in_run1`, `in_run2` …, each from the slip at the",
-        "start of its run up to `until1_rad`, `until2_rad` …",
+        "start of its run up to `until1_rad`, `until2_rad` … A delay is m times what it says to first order in m − 1.",
         "",
         "## An effect of your own",
         "",
