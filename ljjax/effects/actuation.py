@@ -72,7 +72,9 @@ class ActuatorDeadband(Effect):
 
     def actuate(self, memory, u, now):
         out, after = [], []
-        for t, worked, share in zip(u, memory, (self.share + self.difference, self.share - self.difference), strict=True):
+        for t, worked, share in zip(
+            u, memory, (self.share + self.difference, self.share - self.difference), strict=True
+        ):
             turns = 0.5 + 0.5 * jnp.tanh(SHARPLY * (t / self.band_n - 1))
             mean, end = lagged(turns, worked, self.thins_s * (2 - turns), now.h)
             part = jnp.exp(-self.fades * jnp.maximum(t / self.band_n - 1, 0.0)) * (1 - self.thins * mean)

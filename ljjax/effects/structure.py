@@ -66,7 +66,8 @@ RATE_RAD_S, BEND_RAD = 0.3, 0.1
 class ViscousDamping(Effect):
     """Damping beside the layers': D (1 + g x) q̇ (|q̇|/v₀)^(a − 1) (1 − b + b q²/q₀²), v₀ = 0.3 rad/s, x from 1 at the
     base to −1 at the tip; a = 1 is linear; a share b of what is squeezed where it is bent, q₀ = 0.1 rad. Times 1 − s
-    + s α₂/α₂(0): s = 0 where the vacuum is of no account, 1 where it damps as it is stiff (Rayleigh)."""
+    + s α₂/α₂(0): s = 0 where the vacuum is of no account, 1 where it damps as it is stiff (Rayleigh). Grease that thins
+    while it is sheared and sets at rest (thixotropy) damps 1 − t w of that: ẇ = (1 − w) |q̇|/q_t − w/τ (Moore)."""
 
     id, block, axes = "viscous_damping", "structure", ("rate", "direction")
     damping: jax.Array = parameter("N·m·s/rad", 0.0, 0.0, 20.0, 0.05)
@@ -74,9 +75,23 @@ class ViscousDamping(Effect):
     bent: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
     of_layers: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
+    thins: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.3,))
+    thins_rad: jax.Array = shape("rad", 0.1, 1e-3, 10.0, (0.1,))
+    sets_s: jax.Array = shape("s", 2.0, 0.05, 200.0, (2.0,))
+
+    def start(self, now):
+        return tuple(0.0 * q for q in now.q)
+
+    def remember(self, memory, now, after):
+        out = []
+        for worked, before, later in zip(memory, now.q, after.q, strict=True):
+            sheared, sets = jnp.abs(later - before) / self.thins_rad, now.h / self.sets_s
+            end = sheared / (sheared + sets)
+            out.append(end + (worked - end) * jnp.exp(-sheared - sets))
+        return tuple(out)
 
     def torque(self, memory, i, q, v, stage):
-        here = self.damping * towards_base(self.to_base, len(stage.alpha2))[i]
+        here = self.damping * towards_base(self.to_base, len(stage.alpha2))[i] * (1 - self.thins * memory[i])
         here = here * (1 - self.bent + self.bent * (q / BEND_RAD) ** 2)
         here = here * (1 + self.of_layers * (stage.alpha2[i] / stage.bare - 1))
         return here * v * power(v, RATE_RAD_S, self.power - 1)

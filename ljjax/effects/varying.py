@@ -231,7 +231,7 @@ def onsets(slip_rad: float, count: int) -> list[dict[str, float]]:
 
 
 def varies(kind: type[Effect]) -> bool:
-    """Whether anything that an effect does can vary with what acts on it, and does not yet: a transport delay cannot."""
+    """Whether anything that an effect does may vary with what acts on it, and does not yet: no delay can."""
     if not steady(kind) or _delays(kind):
         return False
     hooks = ("actuate", "evacuate", "alpha2", "phi", "slip", "load", "torque", "sense")

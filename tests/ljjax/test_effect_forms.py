@@ -507,15 +507,39 @@ def test_damping_may_be_of_grease_that_is_squeezed_more_towards_the_tip_or_go_wi
     stage: Any = SimpleNamespace(alpha2=(3.0, 3.0, 3.0), bare=2.0)
 
     def felt(bent: float, q: float) -> float:
-        return float(kind(damping=0.5, bent=bent).torque((), 0, jnp.asarray(q), jnp.asarray(0.2), stage))
+        return float(kind(damping=0.5, bent=bent).torque((0.0,) * 3, 0, jnp.asarray(q), jnp.asarray(0.2), stage))
 
     assert felt(0.0, 0.2) == pytest.approx(0.5 * 0.2)
     np.testing.assert_allclose([felt(0.75, q) for q in (0.0, 0.1, 0.2)], [0.025, 0.1, 0.325], rtol=1e-6)
     rest, v = jnp.asarray(0.0), jnp.asarray(0.2)
-    along = [float(kind(damping=0.5, to_base=-0.6).torque((), i, rest, v, stage)) for i in range(3)]
+    along = [float(kind(damping=0.5, to_base=-0.6).torque((0.0,) * 3, i, rest, v, stage)) for i in range(3)]
     np.testing.assert_allclose(along, [0.04, 0.1, 0.16], rtol=1e-6)  # more of it towards the tip
-    stiff = [float(kind(damping=0.5, of_layers=s).torque((), 0, rest, v, stage)) for s in (0.0, 0.5, 1.0)]
+    stiff = [float(kind(damping=0.5, of_layers=s).torque((0.0,) * 3, 0, rest, v, stage)) for s in (0.0, 0.5, 1.0)]
     np.testing.assert_allclose(stiff, [0.1, 0.125, 0.15], rtol=1e-6)  # α₂ is half as much again as without a vacuum
+
+
+def test_grease_may_thin_while_it_is_sheared_and_set_again():
+    """Moore's law: at 0.5 rad/s with q_t = 0.1 rad and τ = 2 s it comes to w = 5/(5 + 0.5) at 5.5 a second."""
+    kind: Any = REGISTRY["viscous_damping"]
+    grease, h, stage = (
+        kind(damping=0.5, thins=0.8, thins_rad=0.1, sets_s=2.0),
+        0.01,
+        SimpleNamespace(alpha2=(2.0,), bare=2.0),
+    )
+
+    def at(q: float) -> Any:
+        return SimpleNamespace(q=(jnp.asarray(q),), h=jnp.asarray(h))
+
+    memory, q, worked = grease.start(at(0.0)), 0.0, 0.0
+    for rate in (0.5, 0.0):
+        begun = worked
+        for _ in range(50):
+            memory = grease.remember(memory, at(q), at(q + rate * h))
+            q += rate * h
+        k, end = rate / 0.1 + 0.5, rate / 0.1 / (rate / 0.1 + 0.5)
+        worked = end + (begun - end) * np.exp(-k * 0.5)
+        felt = float(grease.torque(memory, 0, jnp.asarray(q), jnp.asarray(0.2), stage))
+        assert felt == pytest.approx(0.5 * 0.2 * (1 - 0.8 * worked), rel=1e-5)
 
 
 def test_a_load_beside_the_axis_is_a_load(robot):
