@@ -707,7 +707,7 @@ def test_a_soft_lining_rubs_by_a_power_of_what_presses_it_and_an_uneven_one_by_i
 
 
 def test_a_cable_that_sticks_hands_on_its_tension_until_friction_can_hold_no_more(robot):
-    """Two bends of 0.2 rad, each of which holds e^0.1: after the first 10 N the tension falls by steps of a hundredth."""
+    """Two bends of 0.2 rad, each of which holds e^0.1: from 10 N the tension falls by hundredths."""
     kind: Any = REGISTRY["tendon_friction"]
     cable, model, zero = kind(mu=0.5, held=1.0, still_rad_s=1e-4), robot(2), jnp.zeros(())
     bent = (jnp.asarray(0.2),) * 2
