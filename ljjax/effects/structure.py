@@ -173,16 +173,28 @@ def _inertia(now: Now, masses: Sequence[Array]) -> list[list[Array]]:
 
 class BaseTilt(Effect):
     """Gravity not along the unbent body: α₁ sin(q_Σ − δ); and as the weight is spread along it, each link is drawn
-    aside by a force f of its own."""
+    aside by a force f of its own. A base that is loose rocks by l s more, to the side to which the body hangs:
+    τ ṡ = tanh(q_Σ/q_l) − s."""
 
     id, block, axes = "base_tilt", "structure", ("everywhere", "angle", "pressure")
     sudden = True
     tilt_rad: jax.Array = parameter("rad", 0.0, -1.5, 1.5, 0.15)
     aside_n: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.05)
+    loose_rad: jax.Array = parameter("rad", 0.0, -0.5, 0.5, 0.05)
+    hangs_rad: jax.Array = shape("rad", 0.2, 0.01, 2.0, (0.2,))
+    rocks_s: jax.Array = shape("s", 0.3, 0.01, 20.0, (0.3,))
+
+    def start(self, now):
+        return (jnp.tanh(sum(now.q) / self.hangs_rad),)
+
+    def remember(self, memory, now, after):
+        side = jnp.tanh(sum(now.middle) / self.hangs_rad)
+        return (lagged(side, memory[0], self.rocks_s, now.h)[1],)
 
     def load(self, memory, load, now):
         total = sum(now.middle)
-        more = now.model.gravity.alpha1 * (jnp.sin(total - self.tilt_rad) - jnp.sin(total))
+        tilt = self.tilt_rad + self.loose_rad * memory[0]
+        more = now.model.gravity.alpha1 * (jnp.sin(total - tilt) - jnp.sin(total))
         moments = _moments(now, [self.aside_n] * len(load), now.cos)
         return tuple(x - more + m for x, m in zip(load, moments, strict=True))
 

@@ -225,7 +225,7 @@ def test_a_channel_is_heard_where_what_it_shows_matters_to_the_shape():
     kind: Any = REGISTRY["actuator_lag"]
 
     def error(_, x: np.ndarray) -> np.ndarray:
-        return (x.sum(axis=1, keepdims=True) - 0.02) * np.linspace(1.0, 5.0, 50) / 0.02
+        return (x[:, :2].sum(axis=1, keepdims=True) - 0.02) * np.linspace(1.0, 5.0, 50) / 0.02
 
     channel = Channel("tension", 3.0, 0.01, {"actuator_lag": 0.0}, {}, error, np.ones(50, bool))
     lag = [Fitted(kind(tau_s=0.02, second_s=0.0), ["tau_s"], np.array([[1e-8]]))]
@@ -242,7 +242,7 @@ def test_what_the_shape_knows_of_two_parameters_together_holds():
     kind: Any = REGISTRY["actuator_lag"]
 
     def error(_, x: np.ndarray) -> np.ndarray:
-        return (x.sum(axis=1, keepdims=True) - 0.005) * np.linspace(1.0, 5.0, 50) / 0.03
+        return (x[:, :2].sum(axis=1, keepdims=True) - 0.005) * np.linspace(1.0, 5.0, 50) / 0.03
 
     channel = Channel("tension", 0.2, 0.01, {"actuator_lag": 0.0}, {}, error, np.ones(50, bool))
     fitted, free = kind(tau_s=0.015, second_s=0.015), ["tau_s", "second_s"]
@@ -414,7 +414,7 @@ def test_a_further_effect_begins_as_it_stands_though_it_varied_where_the_first_w
     study = Study(any_, (), [tilt, gain], (any_, any_), 0.0, {})
     begun = study._begun(like, Trial(("base_tilt", "actuator_gain"), {"effects.actuator_gain.error": 0.05}))
     values = {n: float(getattr(e, n)) for e in begun.effects for n in e.fields() if float(getattr(e, n)) != 0}
-    assert values == {"tilt_rad": 0.1, "difference": 0.02, "error": 0.05, "warms_s": 5.0}
+    assert values == {"tilt_rad": 0.1, "difference": 0.02, "error": 0.05, "warms_s": 5.0, "layer_over_rad": 0.02}
 
 
 def test_a_gap_in_one_joint_of_six_counts_for_what_it_is():

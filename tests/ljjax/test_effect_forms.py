@@ -542,6 +542,28 @@ def test_grease_may_thin_while_it_is_sheared_and_set_again():
         assert felt == pytest.approx(0.5 * 0.2 * (1 - 0.8 * worked), rel=1e-5)
 
 
+def test_a_base_that_is_loose_rocks_to_the_side_to_which_the_body_hangs(robot):
+    """By 0.1 rad within 0.3 s, as a base tilted so far the other way."""
+    kind: Any = REGISTRY["base_tilt"]
+    loose, model = kind(loose_rad=-0.1, hangs_rad=0.01, rocks_s=0.3), robot(2)
+
+    def at(q: float) -> Any:
+        joints = (jnp.asarray(q),) * 2
+        now = SimpleNamespace(model=model, q=joints, middle=joints, h=jnp.asarray(0.01))
+        now.sin, now.cos = (jnp.zeros(()),) * 2, (jnp.ones(()),) * 2
+        return now
+
+    memory = loose.start(at(0.2))
+    for k in range(60):
+        memory = loose.remember(memory, at(-0.2), None)
+        side = -1 + 2 * np.exp(-(k + 1) * 0.01 / 0.3)
+        felt, tilted = (
+            e.load(m, (jnp.zeros(()),) * 2, at(-0.2))
+            for e, m in ((loose, memory), (kind(tilt_rad=-0.1 * side), (0.0,)))
+        )
+        np.testing.assert_allclose(np.array(felt), np.array(tilted), rtol=1e-4, atol=1e-9)
+
+
 def test_a_load_beside_the_axis_is_a_load(robot):
     """Its moment goes with its mass: a tilted base is no payload without one."""
     kind: Any = REGISTRY["tip_payload"]

@@ -309,13 +309,30 @@ def test_a_run_of_a_log_begins_where_its_camera_says_however_its_marker_comes_to
     np.testing.assert_allclose(unsensed_at_rest(model, drive(), jnp.full(3, 0.2)), 0.2, atol=1e-9)
 
 
+def test_a_delay_may_be_another_in_each_run():
+    """Half as long again in the second one: to first order by half of it times the rate, of commands and of stamps."""
+    h, d, rate, zero = 0.01, 0.02, 3.0, jnp.zeros(())
+    for effect, hook in (("actuator_delay", "actuate"), ("sensor_delay", "sense")):
+        late: Any = varying(REGISTRY[effect], (1.0,))(**{"delay_seconds": d, "in_run2": 0.5})
+        assert float(late.delay_s() if hook == "actuate" else late.latency_s()) == d
+        for worn, more in ((0.0, 0.0), (5.0, 0.5)):
+            at = [(jnp.asarray(0.1 + rate * h * k),) * 2 for k in range(2)]
+            q = at[0] if hook == "sense" else (zero, zero)
+            before: Any = SimpleNamespace(
+                q=q, v=(zero, zero), u=at[0], vacuum=zero, warm=zero, t=zero, h=jnp.asarray(h)
+            )
+            before.worn = jnp.asarray(worn)
+            out, _ = getattr(late, hook)(late.start(before), at[1], before)
+            np.testing.assert_allclose(np.array(out), 0.1 + rate * h - more * d * rate, rtol=1e-6)
+
+
 def test_what_an_effect_remembers_at_the_start_is_what_reaches_it(robot):
     """A lag behind a wrong gain rests at the tension that the gain makes, and a late stamp sees the biased shape."""
     gain, lag = build("actuator_gain", {"error": 0.5}), build("actuator_lag", {"tau_s": 0.3})
     at = Drive(jnp.asarray(10.0), jnp.asarray(0.0), jnp.asarray(0.0), t=jnp.asarray(0.0))
     still, shape = (jnp.zeros(()),) * 3, (jnp.asarray(0.1),) * 3
     begun = step.begin(dataclasses.replace(robot(3), effects=(gain, lag)), shape, still, still, at)
-    assert float(begun.memory[1][0]) == pytest.approx(15.0)
+    assert float(begun.memory[1][0][0]) == pytest.approx(15.0)
     bias = build("sensor_bias", {"offset_rad": 0.01})
     late = build("sensor_delay", {"delay_seconds": 0.03, "drift": 1.0, "phase": 0.3})
     seen_first = step.begin(dataclasses.replace(robot(3), effects=(bias, late)), shape, still, still, at).sensed
