@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import dahl, gone, lagged, positive, saturated, towards_base, turned
+from ljjax.effects.shapes import dahl, gone, lagged, positive, power, saturated, towards_base, turned
 
 APART_KPA = 10.0
 """The difference between line and sheath at which the sheath's time constants hold."""
@@ -38,13 +38,18 @@ class PressureLag(Effect):
 VENT_S, VENTED_KPA = 0.3, 0.5
 
 
+CHOKES_KPA = 20.0
+"""The vacuum at which an orifice leaks the same by any law."""
+
+
 class PressureLeak(Effect):
     """The sheath holds less vacuum than the gauge, the more the longer it is held: P = (1 − L f) P_line, f rising to 1
     with the time constant τ while there is a vacuum, and back to 0 soon after it is vented; and a share h of what it
     lacks follows the line's vacuum that late, P = (P_line − L D)₊ with τḊ = P_line − D. A share b of the
     leak may be at folds that open with the bend, and a share m at lips that open with motion: f then goes to
     (1 − b − m)₊ + b q²/(q² + w²) + m v²/(v² + ω²), q² and v² the joints' means, and to the latter two when vented. A
-    share g of the leak opens as the session goes on: L is L (1 − g exp(−S/S₀)), S the way gone by the mean joint."""
+    share g of the leak opens as the session goes on: L is L (1 − g exp(−S/S₀)), S the way gone by the mean joint.
+    Behind an orifice L goes with (P_line/20 kPa)^(−c), c = ½ by Bernoulli's law."""
 
     id, block, axes = "pressure_leak", "jamming", ("pressure", "time")
     sudden = True
@@ -57,6 +62,7 @@ class PressureLeak(Effect):
     open_rad_s: jax.Array = shape("rad/s", 0.3, 0.02, 10.0, (0.3,))
     of_session: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     opens_rad: jax.Array = shape("rad", 10.0, 0.1, 1e3, (0.3,), "slip")
+    chokes: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
 
     def start(self, now):
         return 0.0 * now.vacuum, 0.0 * now.vacuum, now.worn
@@ -73,6 +79,7 @@ class PressureLeak(Effect):
         part, leaked = lagged(goal, leaked, tau, now.h)
         late, lacking = lagged(vacuum, lacking, tau, now.h)
         share = self.share * (1 - self.of_session * jnp.exp(-slip / self.opens_rad))
+        share = share * power(vacuum, CHOKES_KPA, -self.chokes)
         vacuum = positive(vacuum - share * ((1 - self.held) * vacuum * part + self.held * late))
         return vacuum, (leaked, lacking, slip)
 

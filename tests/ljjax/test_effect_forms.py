@@ -113,6 +113,18 @@ def test_a_leak_may_be_at_what_opens_with_the_bend_or_with_motion(opens):
     assert held(0.2, 0.5) == pytest.approx(20.0 * (1 - 0.2 * (1 - np.exp(-1))), rel=1e-3)
 
 
+def test_a_leak_behind_an_orifice_takes_less_of_a_deeper_vacuum():
+    """By the square root of it: 0.2 of 20 kPa, 0.4 of 5 kPa."""
+    leak: Any = REGISTRY["pressure_leak"](**{"share": 0.2, "tau_s": 0.05, "held": 0.0, "chokes": 0.5})
+    for line, lost in ((20.0, 4.0), (5.0, 2.0)):
+        q, vacuum = jnp.zeros((2,)), jnp.asarray(line)
+        now: Any = SimpleNamespace(vacuum=vacuum, h=jnp.asarray(0.1), middle=q, v=q, worn=jnp.asarray(0.0))
+        memory = leak.start(now)
+        for _ in range(20):
+            held, memory = leak.evacuate(memory, vacuum, now)
+        assert float(held) == pytest.approx(line - lost, rel=1e-4)
+
+
 def test_a_leak_may_open_as_the_session_goes_on():
     """S₀ = 5 rad: none of it at first, 1 − 1/e after 5 rad, in one run or before it; half of it always with g = ½."""
     kind: Any = REGISTRY["pressure_leak"]
