@@ -109,10 +109,10 @@ def _each(until: tuple[float, ...]) -> type[_Varying]:
 
 
 @cache
-def _late(kind: type[Effect]) -> type[Effect]:
+def _late(kind: type[Effect]) -> Callable[..., Effect]:
     """The same delay, that may be more."""
     body = {"__module__": __name__, "__annotations__": {"more": Array}, "more": 0.0}
-    return cast(type[Effect], types.new_class(kind.__name__, (kind,), exec_body=lambda n: n.update(body)))
+    return cast(Callable[..., Effect], types.new_class(kind.__name__, (kind,), exec_body=lambda n: n.update(body)))
 
 
 @cache

@@ -119,7 +119,7 @@ def test_a_leak_behind_an_orifice_takes_less_of_a_deeper_vacuum():
     for line, lost in ((20.0, 4.0), (5.0, 2.0)):
         q, vacuum = jnp.zeros((2,)), jnp.asarray(line)
         now: Any = SimpleNamespace(vacuum=vacuum, h=jnp.asarray(0.1), middle=q, v=q, worn=jnp.asarray(0.0))
-        memory = leak.start(now)
+        memory, held = leak.start(now), vacuum
         for _ in range(20):
             held, memory = leak.evacuate(memory, vacuum, now)
         assert float(held) == pytest.approx(line - lost, rel=1e-4)
