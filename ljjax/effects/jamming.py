@@ -144,7 +144,8 @@ class LayerHysteresis(Effect):
     (Jenkins' elements, a sum of plays), each with a torque of its own, (a + b P) (1 + g x), x from 1 at the base to −1
     at the tip; under pressure they may stretch further, x₀ (1 + w P), as they do where the vacuum makes them slide
     later but no stiffer. The first may slide little by little, x₀ dz/dq = (1 − z sgn q̇)^p (Dahl's model; Jenkins' for
-    p = 0). And friction that grows with the bend, h φ |q| (1 + g x), turning round within x₀ (Dahl's)."""
+    p = 0). And friction that grows with the bend, h φ |q| (1 + g x), turning round within x₀ (Dahl's). A run starts
+    with what has not slid stretched from straight, and no stretch of what has, whose past is not known."""
 
     id, block, axes = "layer_hysteresis", "jamming", ("direction", "angle", "pressure")
     torque_nm: jax.Array = parameter("N·m", 0.0, 0.0, 5.0, 0.01)
@@ -170,7 +171,8 @@ class LayerHysteresis(Effect):
         )
 
     def start(self, now):
-        return (tuple(0.0 * q for q in now.q),) * 3
+        stretched = [[q * jnp.exp(-((q / width) ** 2)) for q in now.q] for width in self._widths(now.vacuum)]
+        return *map(tuple, stretched), tuple(0.0 * q for q in now.q)
 
     def load(self, memory, load, now):
         near, wide = self._stuck(memory[:2], [b - a for a, b in zip(now.q, now.middle, strict=True)], now.vacuum)

@@ -16,15 +16,16 @@ from ljjax.model import Model
 GRAVITY = 9.80665
 
 
-SLOWER, BRANCH_RAD = 8.0, 0.03
-"""How much slower the second branch of the creep is, and the stretch of a branch at which τ holds."""
+SLOWER, BRANCH_RAD, RESTED_S = 8.0, 0.03, 30.0
+"""How much slower the second branch of the creep is, the stretch of a branch at which τ holds, and how long a body is
+taken to have rested as a run finds it: what creeps slower is no spring about wherever the run begins."""
 
 
 class ViscoelasticCreep(Effect):
     """Backbone and sheath relax: a Maxwell branch k (q − x), τẋ = (q − x) (|q − x|/x₀)^(n − 1), x₀ = 0.03 rad, beside
     the elasticity, and one of 8 τ; n > 1 creeps by a power of its stress (Norton's law). Both are times 1 + g x, x from
     1 at the base to −1 at the tip, and times 1 − s + s α₂/α₂(0): s = 0 where the backbone relaxes, 1 where all that is
-    elastic does."""
+    elastic does. A run starts from half a minute in its first shape, straight before that."""
 
     id, block, axes = "viscoelastic_creep", "structure", ("time", "rate", "angle")
     stiffness: jax.Array = parameter("N·m/rad", 0.0, 0.0, 50.0, 0.3)
@@ -41,7 +42,8 @@ class ViscoelasticCreep(Effect):
         return tau * power(stretch, BRANCH_RAD, 1 - self.order)
 
     def start(self, now):
-        return tuple(now.q), tuple(now.q)
+        crept = [1 - jnp.exp(-RESTED_S / tau) for _, tau in self._branches()]
+        return tuple(tuple(share * q for q in now.q) for share in crept)
 
     def load(self, memory, load, now):
         along_body = zip(towards_base(self.to_base, len(load)), of_layers(self.of_layers, now), strict=True)

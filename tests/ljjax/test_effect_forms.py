@@ -226,6 +226,21 @@ def test_backbone_or_all_that_is_elastic(robot, effect, values):
     assert torque(1.0, 20.0) == pytest.approx(torque(0.0, 0.0) * stiff / bare)
 
 
+def test_what_creeps_slower_than_a_rest_or_has_not_slid_is_no_spring_about_where_a_run_begins():
+    """Branches of 3 s and 24 s have crept to where a body rests, one of 800 s has not; nor have wide layers slid."""
+    q = jnp.asarray(0.02)
+    now: Any = SimpleNamespace(q=(q,), vacuum=jnp.zeros(()))
+    creep: Any = REGISTRY["viscoelastic_creep"]
+    for tau, near, later in ((3.0, 1.0, 1 - np.exp(-30 / 24)), (100.0, 1 - np.exp(-0.3), 1 - np.exp(-30 / 800))):
+        crept = [float(x[0]) for x in creep(stiffness=1.0, tau_s=tau).start(now)]
+        np.testing.assert_allclose(crept, [0.02 * near, 0.02 * later], rtol=1e-3)
+    layers: Any = REGISTRY["layer_hysteresis"]
+    for width, stretched in ((0.5, 0.02), (0.002, 0.0)):  # and, four times as wide, nearly so
+        first, second, _ = layers(torque_nm=1.0, width_rad=width).start(now)
+        assert float(first[0]) == pytest.approx(stretched, rel=0.01, abs=1e-4)
+        assert float(second[0]) == pytest.approx(stretched, rel=0.01, abs=1e-4)
+
+
 def test_a_lag_that_rings_goes_as_its_differential_equation():
     from scipy.integrate import solve_ivp
 
