@@ -94,6 +94,7 @@ class Variation:
             self._by_run(single, np.inf if least > FURTHER else MOUNTED * least)
 
     def _with_what_acts(self, single: dict[str, Refit]) -> None:
+        """Those that come near the best with what acts on them; where much is left, others so, or from a moment on."""
         ordered, least = sorted(single.values(), key=self.left), self._least(single)
         near = [r for r in ordered if self.left(r) < NEARBY * least and self.left(r) < HOPELESS][:VARYING]
         kinds = {k.id: varying(k) for k in self.study.kinds if varies(k) and any(r.ids == (k.id,) for r in near)}

@@ -50,7 +50,7 @@ class ActuatorDelay(Effect):
 
 
 SHARPLY = 5.0
-"""How sharply a drive comes to turn about its deadband, in shares of that."""
+"""How sharply a drive comes to turn about its deadband, over that."""
 
 
 class ActuatorDeadband(Effect):
@@ -72,9 +72,8 @@ class ActuatorDeadband(Effect):
 
     def actuate(self, memory, u, now):
         out, after = [], []
-        for t, worked, share in zip(
-            u, memory, (self.share + self.difference, self.share - self.difference), strict=True
-        ):
+        shares = self.share + self.difference, self.share - self.difference
+        for t, worked, share in zip(u, memory, shares, strict=True):
             turns = 0.5 + 0.5 * jnp.tanh(SHARPLY * (t / self.band_n - 1))
             mean, end = lagged(turns, worked, self.thins_s * (2 - turns), now.h)
             part = jnp.exp(-self.fades * jnp.maximum(t / self.band_n - 1, 0.0)) * (1 - self.thins * mean)
