@@ -169,13 +169,13 @@ def ticks_back(law: Law, *late: Any) -> int:
 
 
 def delays(model: Model, given: Scenario) -> tuple[Array, Array]:
-    """Of the tensions and of the measurement [s]."""
+    """Of the tensions and of the measurement [s]; no loop sees what is to come."""
     act, sense = given.compute_s, given.sensor_s
     for effect in model.effects:
         late, latency = effect.delay_s(), effect.latency_s()
         act = act if late is None else act + late
         sense = sense if latency is None else sense + latency
-    return act, sense
+    return act, jnp.maximum(sense, 0.0)
 
 
 class _Kept(NamedTuple):

@@ -43,8 +43,8 @@ class _Places:
 class Samples:
     """Predictions (N, c) and derivatives (N, c, k + 1) at the samples of a request, which `read` fills.
 
-    Where the shape is stamped late a sample shows the path that much earlier, in the window before it if need be; what
-    the tip's pose says beside it is not late.
+    Where the shape is stamped late a sample shows the path that much earlier, in the window before it if need be, and
+    later where it is stamped early; what the tip's pose says beside it is not late.
     """
 
     def __init__(self, request: Request):
@@ -59,11 +59,13 @@ class Samples:
         self.places = [_Places(slice(0, every), w.window, w.step, w.weight, *w.order)]
         if latency:
             place = w.window * STEPS + w.step + w.weight
-            opening = (
-                np.maximum.accumulate(np.where(w.opens, np.arange(len(w)), 0)) if request.onward else np.arange(len(w))
-            )
-            place = np.maximum(place - latency / w.h, opening[w.window] * STEPS)
-            window = np.minimum(place // STEPS, w.window).astype(int)
+            first = last = np.arange(len(w))  # the windows that a path goes on through
+            if request.onward:
+                first, ends = np.maximum.accumulate(np.where(w.opens, first, 0)), np.append(w.opens[1:], True)
+                last = np.minimum.accumulate(np.where(ends, last, len(w))[::-1])[::-1]
+            first, last = first[w.window], last[w.window]
+            place = np.clip(place - latency / w.h, first * STEPS, (last + 1) * STEPS)
+            window = np.minimum(place // STEPS, last).astype(int)
             step = np.minimum(np.floor(place - window * STEPS), STEPS - 1).astype(int)
             late_places = _Places(slice(0, shape), window, step, place - window * STEPS - step, *w.order_of(window))
             self.places = [late_places, replace(self.places[0], rows=slice(shape, every))][: 1 + (every > shape)]

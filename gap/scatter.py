@@ -64,7 +64,7 @@ def scatter(
     size = np.maximum(square, 1e-12)
     noisy = np.sum((rate * floor[:c]) ** 2, axis=1) / size
     more, s2 = along**2 / size - noisy, 0.0
-    most = min(MOST * float(sum(delays)), most_s) ** 2
+    most = min(MOST * max(float(sum(delays)), 0.0), most_s) ** 2
     for _ in range(ITERATIONS):  # by the likelihood of squares, of which large ones are the less certain
         weight = square / np.maximum(noisy + s2 * square, 1e-12) ** 2
         s2 = float(np.clip(weight @ more / max(weight @ square, 1e-300), 0.0, most))

@@ -111,7 +111,7 @@ def run(
     late = [d for e in model.effects if (d := e.latency_s()) is not None]
     if first.sensed is None and not late:
         return Motion(*state, shape)
-    index, w = _between(jnp.maximum(at - sum(late), edges[0]), edges, h) if late else (index, w)
+    index, w = _between(jnp.clip(at - sum(late), edges[0], edges[-1]), edges, h) if late else (index, w)
     seen = hermite(bent, rate, index, w, h)
     if first.sensed is not None:
         seen = seen + _linear(joined(first.sensed, after.sensed) - bent, index, w)

@@ -29,7 +29,7 @@ class Live:
         self.half_length_m, self.lever_arm_m = float(model.chain.half_length_m), float(model.chain.lever_arm_m)
         model = astype(model, jnp.float64)
         late = sum(float(d) for e in model.effects if (d := e.delay_s()) is not None)
-        latency = sum(float(d) for e in model.effects if (d := e.latency_s()) is not None)
+        latency = max(sum(float(d) for e in model.effects if (d := e.latency_s()) is not None), 0.0)
         n = model.n
         zero = jnp.zeros((), jnp.float64)
         first, unravel = ravel_pytree(at_rest(model, (zero,) * n, Drive(zero, zero, zero, t=zero)))

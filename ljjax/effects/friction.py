@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import positive, power, towards_base, turned
+from ljjax.effects.shapes import lagged, positive, power, towards_base, turned
 
 LOAD_N = 10.0
 """Load at which a friction is the same by any power of it."""
@@ -46,7 +46,8 @@ class FrictionAsymmetry(Effect):
 class LoadDependentFriction(Effect):
     """Tendon load presses the layers: φ + (k N(u₁ + u₂) + k_d N(u₁ − u₂)) (1 + g x) (1 − b + b |q|/q₀), N(u) = |u|
     (|u|/u₀)^(p − 1), u₀ = 10 N; x from 1 at the base, where the loads of all joints add up, to −1 at the tip; a share b
-    presses where a tendon goes round a bend, q₀ = 0.1 rad."""
+    presses where a tendon goes round a bend, q₀ = 0.1 rad. What is pressed together may come to N with a time constant,
+    and part with another."""
 
     id, block, axes = "load_dependent_friction", "friction", ("load", "direction", "angle")
     gain: jax.Array = parameter("N·m/N", 0.0, 0.0, 20.0, 0.1)
@@ -54,10 +55,26 @@ class LoadDependentFriction(Effect):
     power: jax.Array = shape("1", 1.0, 0.2, 3.0, (0.5, 1.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
     bent: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    joins_s: jax.Array = shape("s", 0.0, 0.0, 60.0, (0.3, 0.0))
+    parts_s: jax.Array = shape("s", 0.0, 0.0, 60.0, (2.0, 0.0))
+
+    def _presses(self, now):
+        left, right = now.u
+        return [jnp.abs(u) * power(u, LOAD_N, self.power - 1) for u in (left + right, left - right)]
+
+    def _lagging(self, memory, now):
+        """Means over a step of what presses, and what does at its end."""
+        goals = zip(self._presses(now), memory, strict=True)
+        return [lagged(x, held, jnp.where(x > held, self.joins_s, self.parts_s), now.h) for x, held in goals]
+
+    def start(self, now):
+        return tuple(self._presses(now))
+
+    def remember(self, memory, now, after):
+        return tuple(end for _, end in self._lagging(memory, now))
 
     def phi(self, memory, phi, now):
-        left, right = now.u
-        presses = [jnp.abs(u) * power(u, LOAD_N, self.power - 1) for u in (left + right, left - right)]
+        presses = [mean for mean, _ in self._lagging(memory, now)]
         more = self.gain * presses[0] + self.of_net * presses[1]
         bends = [1 - self.bent + self.bent * jnp.sqrt(q * q + EVEN_RAD**2) / BEND_RAD for q in now.q]
         along = towards_base(self.to_base, len(phi))
@@ -73,7 +90,8 @@ class ThermalDrift(Effect):
     (below 0, ΔT), which is x for c = 0 and soon at its end for a large c, as where layers soften at some warmth, T₀;
     W exp(−f x₊) for friction, the most 1/f past T₀ where layers rub most when they are lukewarm. Where no temperature
     is logged ΔT is that of a robot that warms while it runs and cools in between, towards 10 K and back within 600 s,
-    10 K (1 − exp(−t/600 s)) in a first run, and c says how much faster it is, or slower."""
+    10 K (1 − exp(−t/600 s)) in a first run, and c says how much faster it is, or slower. What lies inside may follow
+    with a time constant τ, from i ΔT at a run's start."""
 
     id, block, axes = "thermal_drift", "friction", ("run", "time", "direction")
     friction_per_k: jax.Array = parameter("1/K", 0.0, -2.0, 2.0, 0.01)
@@ -81,6 +99,18 @@ class ThermalDrift(Effect):
     curve_per_k: jax.Array = shape("1/K", 0.0, -0.3, 3.0, (0.6, 0.0))
     falls_per_k: jax.Array = shape("1/K", 0.0, 0.0, 3.0, (0.2, 0.0))
     from_k: jax.Array = shape("K", 0.0, 0.0, 100.0, (0.4, 0.0), "warmth")
+    inside_s: jax.Array = shape("s", 0.0, 0.0, 1e3, (60.0, 0.0))
+    kept: jax.Array = shape("1", 1.0, 0.0, 5.0, (1.0,))
+
+    def start(self, now):
+        return (self.kept * now.warm,)
+
+    def _inside(self, memory, now):
+        """What is warm inside, on average over a step and at its end [K]."""
+        return lagged(now.warm, memory[0], self.inside_s, now.h)
+
+    def remember(self, memory, now, after):
+        return (self._inside(memory, now)[1],)
 
     def _past(self, warm):
         return positive(warm - self.from_k) - positive(-warm)
@@ -91,8 +121,9 @@ class ThermalDrift(Effect):
         return -jnp.expm1(-c * self._past(warm)) / c
 
     def alpha2(self, memory, alpha2, now):
-        return tuple(a * (1 + self.stiffness_per_k * self._warmed(now.warm)) for a in alpha2)
+        return tuple(a * (1 + self.stiffness_per_k * self._warmed(self._inside(memory, now)[0])) for a in alpha2)
 
     def phi(self, memory, phi, now):
-        warmed = self._warmed(now.warm) * jnp.exp(-self.falls_per_k * positive(self._past(now.warm)))
+        warm = self._inside(memory, now)[0]
+        warmed = self._warmed(warm) * jnp.exp(-self.falls_per_k * positive(self._past(warm)))
         return tuple(p * (1 + self.friction_per_k * warmed) for p in phi)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import dahl, gone, lagged, positive, power, saturated, towards_base, turned
+from ljjax.effects.shapes import RESTED_S, dahl, gone, lagged, positive, power, ringing, saturated, towards_base, turned
 
 APART_KPA = 10.0
 """The difference between line and sheath at which the sheath's time constants hold."""
@@ -15,24 +15,30 @@ APART_KPA = 10.0
 class PressureLag(Effect):
     """Line and sheath fill slowly: τ Ṗ = P_line − P, with times of their own for more and for less vacuum, which go
     with the difference Δ = |P_line − P| as (Δ/10 kPa)^p: p = 0 is a laminar line, p = ½ an orifice; and behind it a
-    second volume, of r τ."""
+    second volume, of r τ. What holds the line's vacuum may come to it as a second order, of the time constants
+    τ₂ (1 ± i o), which overshoots for o > 1, but never below none."""
 
     id, block, axes = "pressure_lag", "jamming", ("pressure", "time", "rate")
     fill_s: jax.Array = parameter("s", 0.0, 0.0, 10.0, 0.2)
     vent_s: jax.Array = parameter("s", 0.0, 0.0, 10.0, 0.2)
     power: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.5, 0.0))
     second: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
+    second_s: jax.Array = parameter("s", 0.0, 0.0, 5.0, 0.1)
+    overshoot: jax.Array = shape("1", 0.0, 0.0, 10.0, (3.0, 0.0))
 
     def start(self, now):
-        return now.vacuum, now.vacuum
+        return now.vacuum, now.vacuum, now.vacuum, 0.0 * now.vacuum
 
     def evacuate(self, memory, vacuum, now):
-        held, behind = memory
+        held, behind, set_to, rate = memory
+        vacuum, set_to, rate = ringing(vacuum, set_to, rate, self.second_s, self.overshoot, now.h)
+        vacuum, rate = positive(vacuum), jnp.where(set_to > 0, rate, 0.0 * rate)
+        set_to = positive(set_to)
         apart = jnp.exp(0.5 * self.power * jnp.log(((vacuum - held) / APART_KPA) ** 2 + 1e-4))
         mean, end = lagged(vacuum, held, apart * jnp.where(vacuum > held, self.fill_s, self.vent_s), now.h)
         later = self.second * jnp.where(mean > behind, self.fill_s, self.vent_s)
         mean, behind = lagged(mean, behind, later, now.h)
-        return mean, (end, behind)
+        return mean, (end, behind, set_to, rate)
 
 
 VENT_S, VENTED_KPA = 0.3, 0.5
@@ -137,15 +143,18 @@ class FrictionSaturation(Effect):
 
 WIDER = 4.0
 """How much wider the second element of the layers' hysteresis is."""
+AGED_S = 0.05
+"""The age of a contact at which it begins to hold better [s]."""
 
 
 class LayerHysteresis(Effect):
     """Interlayer slip with a memory longer than the bristles': springs that stretch by x₀ and by 4 x₀ before they slide
     (Jenkins' elements, a sum of plays), each with a torque of its own, (a + b P) (1 + g x), x from 1 at the base to −1
     at the tip; under pressure they may stretch further, x₀ (1 + w P), as they do where the vacuum makes them slide
-    later but no stiffer. The first may slide little by little, x₀ dz/dq = (1 − z sgn q̇)^p (Dahl's model; Jenkins' for
-    p = 0). And friction that grows with the bend, h φ |q| (1 + g x), turning round within x₀ (Dahl's). A run starts
-    with what has not slid stretched from straight, and no stretch of what has, whose past is not known."""
+    later but no stiffer, and the older their contacts are, x₀ (1 + a ln(1 + t/0.05 s)), t their age, ṫ = 1 − t |q̇|/d.
+    The first may slide little by little, x₀ dz/dq = (1 − z sgn q̇)^p (Dahl's model; Jenkins' for p = 0). And friction
+    that grows with the bend, h φ |q| (1 + g x), turning round within x₀ (Dahl's). A run starts with what has not slid
+    stretched from straight, and no stretch of what has, whose past is not known."""
 
     id, block, axes = "layer_hysteresis", "jamming", ("direction", "angle", "pressure")
     torque_nm: jax.Array = parameter("N·m", 0.0, 0.0, 5.0, 0.01)
@@ -157,27 +166,32 @@ class LayerHysteresis(Effect):
     stretch_per_kpa: jax.Array = shape("1/kPa", 0.0, 0.0, 1.0, (0.1, 0.0))
     order: jax.Array = shape("1", 0.0, 0.0, 3.0, (1.0, 0.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
+    ages: jax.Array = shape("1", 0.0, 0.0, 3.0, (0.5, 0.0))
+    renewed_rad: jax.Array = shape("rad", 0.03, 0.003, 1.0, (0.01,))
 
-    def _widths(self, vacuum):
-        near = self.width_rad * (1 + self.stretch_per_kpa * vacuum)
-        return near, WIDER * near
+    def _width(self, vacuum, age):
+        return self.width_rad * (1 + self.stretch_per_kpa * vacuum) * (1 + self.ages * jnp.log1p(age / AGED_S))
 
     def _stuck(self, memory, moved, vacuum):
         """How far each element of each joint is stretched [rad] after the joints moved so far."""
-        near, wide = self._widths(vacuum)
-        return (
-            tuple(near * dahl(e / near, x / near, self.order) for e, x in zip(memory[0], moved, strict=True)),
-            tuple(jnp.clip(e + x, -wide, wide) for e, x in zip(memory[1], moved, strict=True)),
-        )
+        stretched, wider = [], []
+        for near, wide, age, x in zip(memory[0], memory[1], memory[3], moved, strict=True):
+            width = self._width(vacuum, age)
+            stretched.append(width * dahl(near / width, x / width, self.order))
+            wider.append(jnp.clip(wide + x, -WIDER * width, WIDER * width))
+        return tuple(stretched), tuple(wider)
 
     def start(self, now):
-        stretched = [[q * jnp.exp(-((q / width) ** 2)) for q in now.q] for width in self._widths(now.vacuum)]
-        return *map(tuple, stretched), tuple(0.0 * q for q in now.q)
+        ages = tuple(RESTED_S + 0.0 * q for q in now.q)
+        width = self._width(now.vacuum, 0.0 * now.vacuum)
+        stretched = [[q * jnp.exp(-((q / w) ** 2)) for q in now.q] for w in (width, WIDER * width)]
+        return *map(tuple, stretched), tuple(0.0 * q for q in now.q), ages
 
     def load(self, memory, load, now):
-        near, wide = self._stuck(memory[:2], [b - a for a, b in zip(now.q, now.middle, strict=True)], now.vacuum)
+        near, wide = self._stuck(memory, [b - a for a, b in zip(now.q, now.middle, strict=True)], now.vacuum)
         most = self.torque_nm + self.per_kpa * now.vacuum, self.wider_nm + self.wider_per_kpa * now.vacuum
-        stiff = [m / width for m, width in zip(most, self._widths(now.vacuum), strict=True)]
+        width = self._width(now.vacuum, 0.0 * now.vacuum)
+        stiff = most[0] / width, most[1] / (WIDER * width)
         out = []
         for i, share in enumerate(towards_base(self.to_base, len(load))):
             rubs = self.with_bend * now.phi[i] * jnp.abs(now.middle[i]) * memory[2][i]
@@ -187,7 +201,10 @@ class LayerHysteresis(Effect):
     def remember(self, memory, now, after):
         moved = [b - a for a, b in zip(now.q, after.q, strict=True)]
         ways = tuple(turned(way, x, self.width_rad) for way, x in zip(memory[2], moved, strict=True))
-        return *self._stuck(memory[:2], moved, now.vacuum), ways
+        ages = tuple(
+            (t + now.h) * jnp.exp(-jnp.abs(x) / self.renewed_rad) for t, x in zip(memory[3], moved, strict=True)
+        )
+        return *self._stuck(memory, moved, now.vacuum), ways, ages
 
 
 NO_WAY = 1e-6

@@ -20,6 +20,7 @@ class SensorScale(Effect):
     0.5 rad."""
 
     id, block, axes = "sensor_scale", "sensing", ("everywhere", "angle")
+    sudden = True
     error: jax.Array = parameter("1", 0.0, -0.6, 1.5, 0.05)
     aside: jax.Array = parameter("1", 0.0, -0.3, 0.3, 0.02)
     lens: jax.Array = parameter("1", 0.0, -0.3, 0.3, 0.02)
@@ -74,12 +75,17 @@ class SensorBias(Effect):
 class SensorFilter(Effect):
     """Detections are averaged: τẏ = x − y and after it a filter of second order, of the time constants r τ (1 ± i o),
     exact for angles that move steadily in a step. r = 0 is a first-order filter; r = 1 without o a moving average over
-    6τ, but for terms of third order; with o > 0 it overshoots, as Butterworth's filters do."""
+    6τ, but for terms of third order; with o > 0 it overshoots, as Butterworth's filters do. Angles smoothed afterwards
+    need not lag: of what the filter is late, τ + 2 r τ, a share u is taken back."""
 
     id, block, axes = "sensor_filter", "sensing", ("rate", "time")
     tau_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.03)
     later: jax.Array = shape("1", 0.5, 0.0, 4.0, (0.0, 1.0))
     overshoot: jax.Array = shape("1", 0.0, 0.0, 3.0, (1.0, 0.0))
+    undone: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+
+    def latency_s(self):
+        return -self.undone * (1 + 2 * self.later) * self.tau_s
 
     def start(self, now):
         return *(tuple(now.q),) * 3, tuple(0.0 * q for q in now.q)

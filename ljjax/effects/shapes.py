@@ -12,6 +12,9 @@ from ljjax import energy
 from ljjax.effect import Now
 
 Vector = tuple[Array, ...]
+RESTED_S = 30.0
+"""How long a body is taken to have rested as a run finds it: what creeps slower is no spring about wherever the run
+begins."""
 SHORT_S = 1e-6
 STEEP = 0.97
 NEAR_ONE, LEAST_LEFT = 0.02, 1e-6

@@ -10,15 +10,14 @@ from jaxtyping import Array
 
 from ljjax import energy
 from ljjax.effect import Effect, Now, Vector, parameter, shape
-from ljjax.effects.shapes import along, lagged, of_layers, positive, power, towards_base
+from ljjax.effects.shapes import RESTED_S, along, gone, lagged, of_layers, positive, power, ringing, towards_base
 from ljjax.model import Model
 
 GRAVITY = 9.80665
 
 
-SLOWER, BRANCH_RAD, RESTED_S = 8.0, 0.03, 30.0
-"""How much slower the second branch of the creep is, the stretch of a branch at which τ holds, and how long a body is
-taken to have rested as a run finds it: what creeps slower is no spring about wherever the run begins."""
+SLOWER, BRANCH_RAD = 8.0, 0.03
+"""How much slower the second branch of the creep is, and the stretch of a branch at which τ holds."""
 
 
 class ViscoelasticCreep(Effect):
@@ -61,8 +60,14 @@ class ViscoelasticCreep(Effect):
         )
 
 
-RATE_RAD_S, BEND_RAD = 0.3, 0.1
-"""Rate and angle of a joint at which powers of them are 1; below a thousandth of these they are smooth."""
+RATE_RAD_S, BEND_RAD, SEAM_RAD = 0.3, 0.1, 0.02
+"""Rate and angle of a joint at which powers of them are 1; below a thousandth of these they are smooth; and the bend at
+which a seam has closed by two thirds."""
+
+
+def _sides(share: Array, now: Now) -> list[Array]:
+    """1 + r to one side of each joint, 1 − r to the other."""
+    return [1 + share * q / jnp.sqrt(q * q + SEAM_RAD**2) for q in now.middle]
 
 
 class ViscousDamping(Effect):
@@ -102,16 +107,18 @@ class ViscousDamping(Effect):
 class StiffnessHardening(Effect):
     """Elasticity nonlinear in the angle: k₃ (1 + g x) q³ (|q|/q₁)^(a − 3), q₁ = 0.1 rad, x from 1 at the base to −1 at
     the tip; a = 3 is the cubic spring. Times 1 − s + s α₂/α₂(0): s = 0 where the backbone hardens, 1 where all that is
-    elastic does."""
+    elastic does; and 1 + r q/√(q² + w²), w = 0.02 rad, to one side more than to the other."""
 
     id, block, axes = "stiffness_hardening", "structure", ("angle",)
     cubic: jax.Array = parameter("N·m/rad³", 0.0, -500.0, 5000.0, 5.0)
     power: jax.Array = shape("1", 3.0, 1.3, 9.0, (2.0, 3.0, 5.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
     of_layers: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
+    one_sided: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.6, 0.0, -0.6))
 
     def load(self, memory, load, now):
         more = [self.cubic * q * q * q * power(q, BEND_RAD, self.power - 3) for q in now.middle]
+        more = [x * s for x, s in zip(more, _sides(self.one_sided, now), strict=True)]
         more = [x * s for x, s in zip(more, of_layers(self.of_layers, now), strict=True)]
         return tuple(t - s * x for t, s, x in zip(load, towards_base(self.to_base, len(load)), more, strict=True))
 
@@ -223,25 +230,57 @@ def _sums(links: Sequence[Array], part: Vector) -> Vector:
     return tuple(own)
 
 
+RINGS = 25.0
+"""How a load on a thread swings on (`ljjax.effects.shapes.ringing`): at 0.04 of the critical damping."""
+
+
 class TipPayload(Effect):
     """An unmodelled mass m at the tip of a body that hangs, or held out beyond it by b: its gravity m g (x_m − x_i) and
-    its inertia; where it sits beside the axis by e, no further than a load is hung, also the moment m e g cos ψ."""
+    its inertia; where it sits beside the axis by e, no further than a load is hung, also the moment m e g cos ψ. A
+    share s of it swings on a thread l: it draws the tip towards it by m s g/l (x_m − x), ẍ = g/l (x_m − x) − 2 ζ √(g/l)
+    ẋ, ζ = 0.04."""
 
     id, block, axes = "tip_payload", "structure", ("angle", "rate", "everywhere")
     sudden = True
     mass_kg: jax.Array = parameter("kg", 0.0, 0.0, 5.0, 0.02)
     aside_m: jax.Array = shape("m", 0.0, -0.05, 0.05, (-0.02, 0.0, 0.02))
     beyond_m: jax.Array = shape("m", 0.0, -0.02, 0.2, (0.06, 0.0))
+    swings: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    thread_m: jax.Array = shape("m", 0.1, 0.005, 3.0, (0.1,))
+
+    @classmethod
+    def likewise(cls, values):
+        lengths = (0.35, 0.5, 0.7, 1.4, 2.0, 3.0) if values.get("swings", 0.0) > 0 else ()
+        return [{**values, "thread_m": much * values["thread_m"]} for much in lengths]
+
+    def start(self, now):
+        across, psi = 0.0, 0.0
+        links = [2.0 * now.model.chain.half_length_m] * (len(now.q) - 1)
+        for q, length in zip(now.q, [*links, now.model.chain.half_length_m + self.beyond_m], strict=True):
+            psi = psi + q
+            across = across + length * jnp.sin(psi)
+        return across, 0.0 * across
+
+    def _swung(self, memory, now):
+        """Where what swings is over a step, on average, and where and how fast at its end [m, m/s]."""
+        tau = jnp.sqrt(self.thread_m / GRAVITY / (1 + RINGS**2))
+        return ringing(_ends(now, self.beyond_m)[0][0], *memory, tau, RINGS, now.h)
+
+    def remember(self, memory, now, after):
+        return self._swung(memory, now)[1:]
 
     def load(self, memory, load, now):
-        across, _ = _ends(now, self.beyond_m)
+        across, along = _ends(now, self.beyond_m)
         aside = self.aside_m * now.cos[-1]
-        return tuple(x - GRAVITY * self.mass_kg * (a + aside) for x, a in zip(load, across, strict=True))
+        back = self.swings * (across[0] - self._swung(memory, now)[0]) / self.thread_m
+        pulls = [a + aside + back * b for a, b in zip(across, along, strict=True)]
+        return tuple(x - GRAVITY * self.mass_kg * p for x, p in zip(load, pulls, strict=True))
 
     def inertia(self, memory, m, now):
         across, along = _ends(now, self.beyond_m)
+        fixed = self.mass_kg * (1 - self.swings)
         return tuple(
-            tuple(e + self.mass_kg * (along[i] * along[k] + across[i] * across[k]) for k, e in enumerate(row))
+            tuple(e + fixed * (along[i] * along[k] + across[i] * across[k]) for k, e in enumerate(row))
             for i, row in enumerate(m)
         )
 
@@ -275,14 +314,11 @@ class GravityDistribution(Effect):
         return tuple(tuple(e + x for e, x in zip(*rows, strict=True)) for rows in zip(m, more, strict=True))
 
 
-SEAM_RAD = 0.02
-"""Bend at which a seam has closed by two thirds."""
-
-
 class NonuniformStiffness(Effect):
     """Segments differ: α₂,ᵢ = α₂ + 2 dᵢ ((1 − s) α₂(0) + s (α₂ − α₂(0))), d by modes along the body (Legendre's P₁ …
     P₅; their mean is in α₂): in the backbone (s = 0), the layers (s = 1), or both alike, α₂ (1 + dᵢ). Seams that resist
-    to one side differ by dᵢ (1 + r q/√(q² + w²)), w = 0.02 rad."""
+    to one side differ by dᵢ (1 + r q/√(q² + w²)), w = 0.02 rad. A share u of it comes with use: dᵢ is dᵢ (1 − u
+    exp(−S/S₀)), S the way gone by the mean joint."""
 
     id, block, axes, modes_of_theta = "nonuniform_stiffness", "structure", ("segment", "angle"), 5
     mode1: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
@@ -292,12 +328,22 @@ class NonuniformStiffness(Effect):
     mode5: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.1)
     of_layers: jax.Array = shape("1", 0.5, 0.0, 1.0, (0.5,))
     one_sided: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.8, 0.0, -0.8))
+    of_session: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    comes_rad: jax.Array = shape("rad", 10.0, 0.1, 1e3, (0.3,), "slip")
+
+    def start(self, now):
+        return (now.worn,)
+
+    def remember(self, memory, now, after):
+        return (memory[0] + gone(now.q, after.q),)
 
     def alpha2(self, memory, alpha2, now):
         modes = along((self.mode1, self.mode2, self.mode3, self.mode4, self.mode5), len(alpha2))
+        come = 1 - self.of_session * jnp.exp(-memory[0] / self.comes_rad)
+        modes = [come * d for d in modes]
         bare = energy.alpha2(now.model, 0.0 * now.vacuum)
         parts = [2 * ((1 - self.of_layers) * bare + self.of_layers * (a - bare)) for a in alpha2]
-        sides = [1 + self.one_sided * q / jnp.sqrt(q * q + SEAM_RAD**2) for q in now.middle]
+        sides = _sides(self.one_sided, now)
         return tuple(a + d * x * s for a, x, d, s in zip(alpha2, parts, modes, sides, strict=True))
 
 

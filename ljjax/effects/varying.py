@@ -1,4 +1,4 @@
-"""Effects that grow and shrink with load, vacuum, bend, rate, warmth and the sense of motion: `varying`.
+"""Effects that grow and shrink with load, vacuum, bend, rate, warmth, use and the sense of motion: `varying`.
 
 No real robot's effect has quite the form that a library gives it. The sizes of a varying effect are m times what they
 say,
@@ -29,7 +29,7 @@ from jaxtyping import Array
 from ljjax.effect import Effect, Memory, Now, Vector, variation
 from ljjax.effects.shapes import gone
 
-LOAD_N, VACUUM_KPA, BEND_RAD, RATE_RAD_S, WARMTH_K, SENSE_RAD2_S = 10.0, 15.0, 0.4, 0.5, 2.0, 0.005
+LOAD_N, VACUUM_KPA, BEND_RAD, RATE_RAD_S, WARMTH_K, USE_RAD, SENSE_RAD2_S = 10.0, 15.0, 0.4, 0.5, 2.0, 10.0, 0.005
 """Where what an effect varies with is halfway."""
 WAYS = {
     "by_load": f"T/(T + {LOAD_N:g} N), T both tensions together; its own, for what acts on a tendon by itself",
@@ -37,13 +37,14 @@ WAYS = {
     "by_bend": f"q²/(q² + ({BEND_RAD:g} rad)²), q of the mean joint",
     "by_rate": f"v²/(v² + ({RATE_RAD_S:g} rad/s)²), v of the mean joint",
     "by_warmth": f"W/(abs(W) + {WARMTH_K:g} K), W the warming since the first run, `thermal_drift`'s if none is logged",
+    "by_use": f"S/(S + {USE_RAD:g} rad), S the way gone by the mean joint since the first run began",
     "by_sense": f"qv/(abs(qv) + {SENSE_RAD2_S:g} rad²/s), positive where the body bends further",
 }
 """What an effect may vary with, and how."""
 ONSET = {"by_onset": "b", "onset_rad": "S₁", "over_rad": "S₂"}
 """What says when a sudden effect changes, beside `WAYS`, and its sign; of no account where b is 0."""
 PILOTS = (
-    *((way, 8.0) for way in ("by_load", "by_vacuum", "by_bend", "by_rate", "by_warmth")),
+    *((way, 8.0) for way in ("by_load", "by_vacuum", "by_bend", "by_rate", "by_warmth", "by_use")),
     *(("by_sense", much) for much in (1.0, -1.0)),
 )
 """Ways of varying much from which a search begins."""
@@ -51,7 +52,7 @@ EACH, UNTIL = "in_run{}", "until{}_rad"
 """cᵣ, and the slip at the start of a run from which on it is not this one [rad]; runs count from 1."""
 BRIEFLY = 0.01
 """The share of a session's slip over which an effect begins from which a search does."""
-AT_THE_SENSOR = ("by_bend", "by_rate", "by_warmth")
+AT_THE_SENSOR = ("by_bend", "by_rate", "by_warmth", "by_use")
 """The ways in which an effect of sensing may vary: a camera sees the body, not its load nor its vacuum."""
 LEAST = 0.02
 """The share of a slip that a varying effect leaves at least."""
@@ -63,10 +64,11 @@ class _Varying(Effect):
     by_bend: Array = variation(-1.0, 20.0)
     by_rate: Array = variation(-1.0, 20.0)
     by_warmth: Array = variation(-1.0, 20.0)
+    by_use: Array = variation(-1.0, 20.0)
     by_sense: Array = variation(-1.0, 1.0)
 
     def _amount(self, memory: Memory, now: Now, load: Array) -> Array:
-        """m of a step under a load [N]; in memory the slip that `_begun` goes by [rad], if it does."""
+        """m of a step under a load [N]; in memory the slip at the run's start, and so far [rad]."""
         n, load = len(now.q), jnp.maximum(load, 0.0)
         bend, rate = sum(now.q) / n, sum(now.v) / n
         turn = bend * rate
@@ -76,12 +78,13 @@ class _Varying(Effect):
             (self.by_bend, bend**2 / (bend**2 + BEND_RAD**2)),
             (self.by_rate, rate**2 / (rate**2 + RATE_RAD_S**2)),
             (self.by_warmth, now.warm / (jnp.abs(now.warm) + WARMTH_K)),
+            (self.by_use, memory[1] / (memory[1] + USE_RAD)),
             (self.by_sense, turn / (jnp.abs(turn) + SENSE_RAD2_S)),
         )
         return jnp.maximum(1 + sum(a * g for a, g in share), 0.0) * self._begun(memory)
 
     def _begun(self, memory: Memory) -> Array | float:
-        """The share of it that is there now, by the slip in memory: so far, or at the run's start."""
+        """The share of it that is there now, by the slip in memory."""
         return 1.0
 
 
@@ -91,7 +94,7 @@ class _Sudden(_Varying):
     over_rad: Array = variation(1e-3, 1e3, "rad", 0.1)
 
     def _begun(self, memory: Memory) -> Array:
-        return 1 - 0.5 * self.by_onset * (1 - jnp.tanh((memory[0] - self.onset_rad) / self.over_rad))
+        return 1 - 0.5 * self.by_onset * (1 - jnp.tanh((memory[1] - self.onset_rad) / self.over_rad))
 
 
 @cache
@@ -139,7 +142,7 @@ def varying(kind: type[Effect], until: tuple[float, ...] | None = None) -> type[
 
     def first(self: Any, now: Now) -> tuple[Array, Memory]:
         """m at a run's start, and the slip to remember."""
-        slip = (now.worn,) if base is not _Varying else ()
+        slip = now.worn, now.worn
         return self._amount(slip, now, now.u[0] + now.u[1]), slip
 
     def start(self: Any, now: Now) -> Memory:
@@ -179,10 +182,8 @@ def varying(kind: type[Effect], until: tuple[float, ...] | None = None) -> type[
         return at(self, memory[1]).torque(memory[0], i, q, v, stage)
 
     def remember(self: Any, memory: Memory, now: Now, after: Any) -> Memory:
-        inner, m, *slip = memory
-        if base is _Sudden:
-            slip[0] = slip[0] + gone(now.q, after.q)
-        return at(self, m).remember(inner, now, after), m, *slip
+        inner, m, began, slip = memory
+        return at(self, m).remember(inner, now, after), m, began, slip + gone(now.q, after.q)
 
     def sense(self: Any, memory: Memory, y: Vector, now: Now) -> tuple[Vector, Memory]:
         y, inner = at(self, memory[1]).sense(memory[0], y, now)
@@ -193,10 +194,14 @@ def varying(kind: type[Effect], until: tuple[float, ...] | None = None) -> type[
             return kind.unsense(self, y)
         return at(self, first(self, now)[0]).unsense(y, now)
 
-    own = {"evacuate": evacuate, "load": load, "torque": torque, "remember": remember, "sense": sense}
+    own = {"evacuate": evacuate, "load": load, "torque": torque, "sense": sense}
     own |= {"unsense": unsense, "inertia": inertia, "slip": slip, "alpha2": scaled("alpha2"), "phi": scaled("phi")}
-    hooks = {"start": start, "actuate": actuate, **{name: hook for name, hook in own.items() if name in has}}
-    hooks |= {"remember": remember} if base is _Sudden else {}
+    hooks = {
+        "start": start,
+        "actuate": actuate,
+        "remember": remember,
+        **{name: hook for name, hook in own.items() if name in has},
+    }
     said = {"__module__": kind.__module__, "__doc__": kind.__doc__}
     return cast(
         type[Effect],
@@ -244,4 +249,4 @@ def steady(kind: type[Effect]) -> bool:
 
 
 def _delays(kind: type[Effect]) -> bool:
-    return kind.delay_s is not Effect.delay_s or kind.latency_s is not Effect.latency_s
+    return "delay_seconds" in kind.fields()

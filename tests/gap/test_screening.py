@@ -352,7 +352,7 @@ def test_leaders_that_leave_much_may_vary(alone, varied, vary):
     variation.let(single)
     assert set(asked) == set(varied)
     sudden = {"pressure_bias", "pressure_leak", "rest_curvature", "base_tilt", "tip_payload", "contact", "sensor_bias"}
-    sudden |= {"actuator_delay", "sensor_delay"}
+    sudden |= {"actuator_delay", "sensor_delay", "sensor_scale"}
     able = {i for i, k in REGISTRY.items() if varies(k)}
     least = min(map(variation.left, single.values()))
     by_run: list[Any] = [{"by run"}] if least > 0.005 else []

@@ -164,7 +164,7 @@ def test_springs_between_layers_may_slide_later_under_pressure_but_be_no_stiffer
     def felt(vacuum: float, bends: np.ndarray) -> np.ndarray:
         memory, out = None, []
         for q, after in zip(bends[:-1], bends[1:], strict=True):
-            at: Any = SimpleNamespace(q=(jnp.asarray(q),), middle=(jnp.asarray(q),), phi=(1.0,), vacuum=vacuum)
+            at: Any = SimpleNamespace(q=(jnp.asarray(q),), middle=(jnp.asarray(q),), phi=(1.0,), vacuum=vacuum, h=0.01)
             memory = layers.start(at) if memory is None else memory
             out.append(float(layers.load(memory, (jnp.zeros(()),), at)[0]))
             memory = layers.remember(memory, at, SimpleNamespace(q=(jnp.asarray(after),)))
@@ -236,7 +236,7 @@ def test_what_creeps_slower_than_a_rest_or_has_not_slid_is_no_spring_about_where
         np.testing.assert_allclose(crept, [0.02 * near, 0.02 * later], rtol=1e-3)
     layers: Any = REGISTRY["layer_hysteresis"]
     for width, stretched in ((0.5, 0.02), (0.002, 0.0)):  # and, four times as wide, nearly so
-        first, second, _ = layers(torque_nm=1.0, width_rad=width).start(now)
+        first, second, *_ = layers(torque_nm=1.0, width_rad=width).start(now)
         assert float(first[0]) == pytest.approx(stretched, rel=0.01, abs=1e-4)
         assert float(second[0]) == pytest.approx(stretched, rel=0.01, abs=1e-4)
 
@@ -372,12 +372,30 @@ def test_load_presses_by_a_power_of_it_more_towards_the_base_and_more_where_it_g
     def more(load: float, **form: float) -> np.ndarray:
         q = tuple(jnp.asarray([0.0, 0.1, -0.2]))
         now: Any = SimpleNamespace(u=(jnp.asarray(0.5 * load), jnp.asarray(0.5 * load)), q=q)
-        return np.array(kind(gain=0.2, **form).phi((), tuple(jnp.full((3,), 2.0)), now)) - 2.0
+        presses = kind(gain=0.2, **form)
+        now.h = jnp.asarray(0.01)
+        return np.array(presses.phi(presses.start(now), tuple(jnp.full((3,), 2.0)), now)) - 2.0
 
     along = more(10.0, power=0.5, to_base=0.5)
     np.testing.assert_allclose(along, [3.0, 2.0, 1.0], rtol=1e-5)  # 0.2 N·m/N of 10 N, and half as much again
     np.testing.assert_allclose(more(40.0, power=0.5, to_base=0.5), 2 * along, rtol=1e-5)
     np.testing.assert_allclose(more(10.0, bent=1.0), [0.0, 2.0, 4.0], atol=3e-3)
+
+
+NO_SLIP = (jnp.zeros(()),)
+
+
+def test_segments_may_come_to_differ_with_use(robot):
+    """u = 0.8, S₀ = 5 rad: a fifth of it at first, all but 0.8/e after 5 rad."""
+    kind: Any = REGISTRY["nonuniform_stiffness"]
+    differ, zero = kind(mode1=0.1, of_session=0.8, comes_rad=5.0), jnp.zeros(())
+    now: Any = SimpleNamespace(model=robot(3), vacuum=zero, middle=(zero,) * 3, worn=zero, q=(zero, zero))
+    memory, mean = differ.start(now), energy.alpha2(robot(3), zero)
+    for worn, share in ((0.0, 0.2), (5.0, 1 - 0.8 * np.exp(-1))):
+        if worn:
+            memory = differ.remember(memory, now, SimpleNamespace(q=(jnp.asarray(8.0), jnp.asarray(-2.0))))
+        more = np.array(differ.alpha2(memory, (mean,) * 3, now)) / float(mean) - 1
+        np.testing.assert_allclose(more, 0.1 * share * np.array([-1, 0, 1]), rtol=1e-5, atol=1e-12)
 
 
 def test_backbone_or_layers_may_differ_along_the_body(robot):
@@ -388,7 +406,7 @@ def test_backbone_or_layers_may_differ_along_the_body(robot):
         for vacuum in (0.0, 20.0):
             now: Any = SimpleNamespace(model=model, vacuum=jnp.asarray(vacuum), middle=(0.0, 0.1, -0.1))
             mean = energy.alpha2(model, now.vacuum)
-            stiff[layers, vacuum] = np.array(differ.alpha2((), (mean,) * 3, now)) / float(mean) - 1
+            stiff[layers, vacuum] = np.array(differ.alpha2(NO_SLIP, (mean,) * 3, now)) / float(mean) - 1
     np.testing.assert_allclose(stiff[0.5, 20.0], [-0.1, 0.0, 0.1], atol=1e-12)
     np.testing.assert_allclose(stiff[0.5, 0.0], stiff[0.0, 0.0] / 2)
     np.testing.assert_allclose(stiff[1.0, 0.0], 0.0)
@@ -403,9 +421,20 @@ def test_seams_may_resist_to_one_side(robot):
     for q in (-0.5, 0.5):
         now: Any = SimpleNamespace(model=model, vacuum=0.0 * one, middle=(q * one,) * 3)
         mean = energy.alpha2(model, now.vacuum)
-        more[q] = np.array(seam.alpha2((), (mean,) * 3, now)) / float(mean) - 1
+        more[q] = np.array(seam.alpha2(NO_SLIP, (mean,) * 3, now)) / float(mean) - 1
     np.testing.assert_allclose(more[0.5], [-0.2, 0.0, 0.2], rtol=1e-3, atol=1e-12)
     np.testing.assert_allclose(more[-0.5], 0.0, atol=1e-4)
+
+
+def test_a_body_may_harden_to_one_side_more_than_to_the_other(robot):
+    """r = 0.6: four times as much to the left as to the right."""
+    kind: Any = REGISTRY["stiffness_hardening"]
+    bent = jnp.asarray(0.3)
+    model, felt = robot(3), []
+    for side in (bent, -bent):
+        now: Any = SimpleNamespace(model=model, middle=(side,) * 3, vacuum=jnp.zeros(()), alpha2=(jnp.ones(()),) * 3)
+        felt.append(float(kind(cubic=2.0, one_sided=0.6).load((), (jnp.zeros(()),) * 3, now)[0]))
+    np.testing.assert_allclose(felt, [-2.0 * 0.027 * 1.6, 2.0 * 0.027 * 0.4], rtol=5e-3)
 
 
 def test_a_slack_tendon_is_wound_up_before_the_body_feels_it():
@@ -481,13 +510,20 @@ def test_layers_rub_more_the_more_they_are_bent():
     path = [*np.linspace(0.0, 0.2, 201), *np.linspace(0.2, 0.1, 101)]
     memory, felt = None, []
     for q, after in zip(path[:-1], path[1:], strict=True):
-        at: Any = SimpleNamespace(q=(jnp.asarray(q),), middle=(jnp.asarray(q),), phi=(jnp.asarray(phi),), vacuum=0.0)
+        angle, h = (jnp.asarray(q),), jnp.asarray(0.01)
+        at: Any = SimpleNamespace(q=angle, middle=angle, phi=(jnp.asarray(phi),), vacuum=0.0, h=h)
         memory = rubs.start(at) if memory is None else memory
         felt.append(float(rubs.load(memory, (jnp.zeros(()),), at)[0]))
         memory = rubs.remember(memory, at, SimpleNamespace(q=(jnp.asarray(after),)))
     assert felt[200] == pytest.approx(-0.05 * phi * 0.2, rel=1e-3)
     assert felt[-1] == pytest.approx(0.05 * phi * 0.101, rel=1e-3)
     assert abs(felt[200 + 7]) < 0.2 * abs(felt[200])
+
+
+def warmed(kind: Any, kelvin: float, hook: str = "phi") -> jax.Array:
+    """What becomes of a friction, or stiffness, of 1."""
+    now: Any = SimpleNamespace(warm=jnp.asarray(kelvin), h=jnp.asarray(0.01))
+    return getattr(kind, hook)(kind.start(now), (jnp.ones(()),), now)[0]
 
 
 def test_a_robot_may_warm_faster_than_is_taken_for_granted():
@@ -497,13 +533,10 @@ def test_a_robot_may_warm_faster_than_is_taken_for_granted():
     given = -10.0 * np.expm1(-t / 600.0)
 
     def drift(curve: float) -> np.ndarray:
-        warms = kind(friction_per_k=0.1, curve_per_k=curve)
-        return np.array([float(warms.phi((), (jnp.ones(()),), SimpleNamespace(warm=w))[0]) - 1 for w in given])
+        return np.array([float(warmed(kind(friction_per_k=0.1, curve_per_k=curve), w)) - 1 for w in given])
 
     np.testing.assert_allclose(drift(0.0), 0.1 * given, rtol=1e-4)
-    slope = jax.grad(lambda c: kind(friction_per_k=0.1, curve_per_k=c).phi((), (1.0,), SimpleNamespace(warm=6.0))[0])(
-        0.0
-    )
+    slope = jax.grad(lambda c: warmed(kind(friction_per_k=0.1, curve_per_k=c), 6.0))(0.0)
     assert float(slope) == pytest.approx(-0.1 * 6.0**2 / 2, rel=1e-3)  # or no fit would ever leave c = 0
     np.testing.assert_allclose(
         drift(0.6) / drift(0.6)[-1], -np.expm1(-t / 110.0) / -np.expm1(-540.0 / 110.0), atol=0.03
@@ -513,7 +546,7 @@ def test_a_robot_may_warm_faster_than_is_taken_for_granted():
 def test_layers_may_rub_most_when_lukewarm():
     """f = 0.25/K: W exp(−f ΔT) rises to 4 K and falls."""
     warms = REGISTRY["thermal_drift"](**{"friction_per_k": 0.1, "falls_per_k": 0.25})
-    more = [float(warms.phi((), (jnp.ones(()),), cast(Any, SimpleNamespace(warm=w)))[0]) - 1 for w in (2.0, 4.0, 8.0)]
+    more = [float(warmed(warms, w)) - 1 for w in (2.0, 4.0, 8.0)]
     np.testing.assert_allclose(more, [0.2 * np.exp(-0.5), 0.4 * np.exp(-1), 0.8 * np.exp(-2)], rtol=1e-3)
 
 
@@ -522,7 +555,7 @@ def test_layers_may_soften_all_at_once_at_some_warmth():
     warms: Any = REGISTRY["thermal_drift"](**{"stiffness_per_k": -0.9, "curve_per_k": 3.0, "from_k": 4.0})
 
     def share(warm: float) -> float:
-        return float(warms.alpha2((), (jnp.ones(()),), SimpleNamespace(warm=jnp.asarray(warm)))[0])
+        return float(warmed(warms, warm, "alpha2"))
 
     past = 1 - 0.3 * -np.expm1(-3.0 * np.array([0.5, 2.0]))
     np.testing.assert_allclose([share(w) for w in (1.0, 3.9, 4.5, 6.0)], [1.0, 1.0, *past], rtol=1e-5)
@@ -595,9 +628,10 @@ def test_a_load_beside_the_axis_is_a_load(robot):
     """Its moment goes with its mass: a tilted base is no payload without one."""
     kind: Any = REGISTRY["tip_payload"]
     model, zero = robot(2), (jnp.zeros(()),) * 2
-    now: Any = SimpleNamespace(model=model, middle=zero, sin=zero, cos=(jnp.ones(()),) * 2)
-    assert [float(x) for x in kind(mass_kg=0.0, aside_m=0.05).load((), zero, now)] == [0.0, 0.0]
-    both = kind(mass_kg=0.1, aside_m=0.05).load((), zero, now)
+    now: Any = SimpleNamespace(model=model, q=zero, middle=zero, sin=zero, cos=(jnp.ones(()),) * 2, h=jnp.asarray(0.01))
+    none, some = kind(mass_kg=0.0, aside_m=0.05), kind(mass_kg=0.1, aside_m=0.05)
+    assert [float(x) for x in none.load(none.start(now), zero, now)] == [0.0, 0.0]
+    both = some.load(some.start(now), zero, now)
     np.testing.assert_allclose(both, -9.80665 * 0.1 * 0.05)
     assert limits(dataclasses.replace(model, effects=(kind(),)))["effects.tip_payload.aside_m"] == (-0.05, 0.05)
 
@@ -607,8 +641,8 @@ def test_a_load_may_be_held_out_beyond_the_tip(robot):
     held: Any = REGISTRY["tip_payload"](**{"mass_kg": 0.1, "beyond_m": 0.06})
     model, none, one = robot(2), (jnp.zeros(()),) * 2, (jnp.ones(()),) * 2
     arms = np.array([3.0, 1.0]) * float(model.chain.half_length_m) + 0.06
-    level: Any = SimpleNamespace(model=model, middle=none, sin=one, cos=none)
-    np.testing.assert_allclose(held.load((), none, level), -9.80665 * 0.1 * arms)
+    level: Any = SimpleNamespace(model=model, q=none, middle=none, sin=one, cos=none, h=jnp.asarray(0.01))
+    np.testing.assert_allclose(held.load(held.start(level), none, level), -9.80665 * 0.1 * arms)
     hung: Any = SimpleNamespace(model=model, middle=none, sin=none, cos=one)
     np.testing.assert_allclose(held.inertia((), ((0.0, 0.0), (0.0, 0.0)), hung), 0.1 * np.outer(arms, arms))
 
@@ -821,7 +855,7 @@ def test_layers_may_slide_little_by_little(order):
     np.testing.assert_allclose(found, exact, atol=0.02)
     assert exact.max() > 0.7 and exact.min() < -0.6
     kind: Any = REGISTRY["layer_hysteresis"]
-    steep = jax.grad(lambda p: kind(torque_nm=1.0, order=p)._stuck(((0.01,), (0.0,)), (0.01,), 0.0)[0][0])
+    steep = jax.grad(lambda p: kind(torque_nm=1.0, order=p)._stuck(((0.01,), (0.0,), (), (30.0,)), (0.01,), 0.0)[0][0])
     assert np.isfinite(steep(0.0)) and float(steep(1.0)) < -1e-4  # it is stretched less, the larger the order
 
 
@@ -868,3 +902,95 @@ def test_an_end_stop_may_be_stiffer_to_the_base():
     torques = [float(stop.torque((), i, jnp.asarray(-0.3), 0.0, stage)) for i in range(3)]
     np.testing.assert_allclose(torques, -3.0 * 0.1 * np.array([1.5, 1.0, 0.5]), rtol=1e-6)
     assert float(stop.torque((), 0, jnp.asarray(0.3), 0.0, stage)) == 0.0
+
+
+def test_what_holds_the_vacuum_may_overshoot():
+    """τ₂ (1 ± i o): by exp(−π/o) of the step, at π τ₂ (1 + o²)/o; never below none."""
+    kind: Any = REGISTRY["pressure_lag"]
+    tau, o, h = 0.05, 3.0, 1e-3
+    regulator = kind(second_s=tau, overshoot=o)
+    now: Any = SimpleNamespace(vacuum=jnp.asarray(10.0), h=jnp.asarray(h))
+    memory, got = regulator.start(now), []
+    for line in [20.0] * 2000 + [0.0] * 500:
+        vacuum, memory = regulator.evacuate(memory, jnp.asarray(line), now)
+        got.append(float(vacuum))
+    assert max(got) == pytest.approx(20.0 + 10.0 * np.exp(-np.pi / o), rel=1e-3)
+    assert h * np.argmax(got) == pytest.approx(np.pi * tau * (1 + o * o) / o, abs=2 * h)
+    assert min(got) == 0.0 and got[-1] < 0.5
+
+
+def test_layers_hold_the_better_the_longer_they_lie():
+    """a = 0.5: rested for 30 s, then slid at 0.1 rad/s, where contacts of d = 0.01 rad are 0.1 s old."""
+    kind: Any = REGISTRY["layer_hysteresis"]
+    layers, h = kind(torque_nm=0.1, width_rad=0.01, ages=0.5, renewed_rad=0.01), 1e-3
+    memory, felt = None, []
+    for k in range(1000):
+        q = 0.1 * h * k
+        at: Any = SimpleNamespace(q=(jnp.asarray(q),), middle=(jnp.asarray(q),), phi=(1.0,), vacuum=0.0, h=h)
+        memory = layers.start(at) if memory is None else memory
+        felt.append(-float(layers.load(memory, (jnp.zeros(()),), at)[0]))
+        memory = layers.remember(memory, at, SimpleNamespace(q=(jnp.asarray(q + 0.1 * h),)))
+    assert felt[-1] == pytest.approx(0.1 * (1 + 0.5 * np.log(1 + 0.1 / 0.05)), rel=0.02)
+    assert max(felt) > 1.5 * felt[-1]
+
+
+def test_what_load_presses_together_parts_later():
+    """2 s after half of the load has gone, with 2 s, e⁻¹ of what it pressed more is left; it joins at once."""
+    kind: Any = REGISTRY["load_dependent_friction"]
+    presses, h = kind(gain=0.1, parts_s=2.0), 0.01
+    now: Any = SimpleNamespace(u=(jnp.asarray(10.0), jnp.asarray(0.0)), q=(jnp.zeros(()),), h=jnp.asarray(h))
+    memory = presses.start(now)
+    now.u = jnp.asarray(5.0), jnp.asarray(0.0)
+    for _ in range(200):
+        memory = presses.remember(memory, now, now)
+    assert float(presses.phi(memory, (jnp.zeros(()),), now)[0]) == pytest.approx(0.1 * (5 + 5 * np.exp(-1)), rel=0.01)
+    now.u = jnp.asarray(20.0), jnp.asarray(0.0)
+    assert float(presses.phi(memory, (jnp.zeros(()),), now)[0]) == pytest.approx(2.0, rel=1e-6)
+
+
+def test_what_lies_inside_warms_later():
+    """With 50 s, from 1.5 ΔT at a run's start."""
+    kind: Any = REGISTRY["thermal_drift"]
+    warms = kind(friction_per_k=0.1, inside_s=50.0, kept=1.5)
+    now: Any = SimpleNamespace(warm=jnp.asarray(2.0), h=jnp.asarray(0.5))
+    memory = warms.start(now)
+    assert float(warms.phi(memory, (jnp.ones(()),), now)[0]) == pytest.approx(1.3, abs=1e-3)
+    for _ in range(100):
+        memory = warms.remember(memory, now, now)
+    assert float(warms.phi(memory, (jnp.ones(()),), now)[0]) == pytest.approx(1.2 + 0.1 * np.exp(-1), abs=1e-3)
+
+
+def test_a_load_may_swing_on_a_thread(robot):
+    """It hangs below the tip at rest, and swings at √(g/l) about where the tip is drawn to."""
+    kind: Any = REGISTRY["tip_payload"]
+    model, one, length, h = robot(2), jnp.ones(()), 0.05, 1e-3
+    load = kind(mass_kg=0.1, swings=1.0, thread_m=length)
+    straight: Any = SimpleNamespace(model=model, q=(0.0 * one,) * 2, h=jnp.asarray(h))
+    memory = load.start(straight)
+    drawn: Any = SimpleNamespace(**vars(straight), middle=(0.0 * one, 0.0 * one), sin=(0.1 * one,) * 2, cos=(one,) * 2)
+    reach = 3.0 * float(model.chain.half_length_m)
+    weight, way, felt = 9.80665 * 0.1, 0.1 * reach, []
+    for _ in range(3000):
+        felt.append(-float(load.load(memory, (0.0 * one,) * 2, drawn)[0]))
+        memory = load.remember(memory, drawn, drawn)
+    assert felt[0] == pytest.approx(weight * way + weight / length * way * reach, rel=1e-3)
+    turns = np.flatnonzero(np.diff(np.sign(np.array(felt) - weight * way)))
+    assert np.diff(turns).mean() * h == pytest.approx(np.pi * np.sqrt(length / 9.80665), rel=0.01)
+    bare = tuple(tuple(0.0 * one for _ in range(2)) for _ in range(2))
+    assert float(load.inertia(memory, bare, drawn)[0][0]) == 0.0
+
+
+def test_angles_smoothed_afterwards_need_not_lag(robot):
+    """A filter whose lag is undone is late no more: what it shows is nearest to the plain shape at no shift."""
+    kind: Any = REGISTRY["sensor_filter"]
+    plain = np.asarray(seen(robot(3), drive())[:, 0])
+
+    def late(undone: float) -> float:
+        smoothed = kind(tau_s=0.02, later=1.0, undone=undone)
+        q = np.asarray(seen(dataclasses.replace(robot(3), effects=(smoothed,)), drive())[:, 0])
+        shifts = np.arange(0.0, 0.1, 0.005)
+        off = [np.mean((np.interp(AT[20:-20] - s, AT, plain) - q[20:-20]) ** 2) for s in shifts]
+        return float(shifts[int(np.argmin(off))])
+
+    assert late(0.0) == pytest.approx(0.06, abs=0.006)
+    assert late(1.0) < 0.006

@@ -250,11 +250,11 @@ def test_a_robot_may_cool():
     still: Any = SimpleNamespace(q=(zero,), v=(zero,), vacuum=zero)
     still.warm = zero
     assert (
-        float(kind(by_load=5.0)._amount((zero,), still, jnp.asarray(-10.0))) == 1.0
+        float(kind(by_load=5.0)._amount((zero, zero), still, jnp.asarray(-10.0))) == 1.0
     )  # a drive that overshoots below 0
     for warm, expected in ((2.0, 1.5), (-2.0, 0.5), (-1e6, 0.0)):
         still.warm = jnp.asarray(warm)
-        np.testing.assert_allclose(kind(by_warmth=1.0)._amount((zero,), still, zero), expected, atol=1e-5)
+        np.testing.assert_allclose(kind(by_warmth=1.0)._amount((zero, zero), still, zero), expected, atol=1e-5)
 
 
 def test_what_begins_at_a_moment_is_as_if_it_had_not_been_before(robot):
@@ -342,7 +342,7 @@ def test_what_an_effect_remembers_at_the_start_is_what_reaches_it(robot):
 def test_no_effect_makes_a_friction_or_a_stiffness_that_drives(robot):
     """However far it takes them down, a fiftieth is left."""
     at, still = Drive(*jnp.zeros(3), warm=jnp.asarray(10.0)), (jnp.zeros(()),) * 3
-    bent = step.Unrolled((jnp.asarray(0.3),) * 3, still, still, ((),))
+    bent = step.Unrolled((jnp.asarray(0.3),) * 3, still, still, ((at.warm,),))
 
     def after(**per_k: float) -> np.ndarray:
         model = dataclasses.replace(robot(3), effects=(build("thermal_drift", per_k),))
@@ -367,7 +367,7 @@ def test_the_moment_at_which_an_effect_begins_has_the_right_derivative(robot):
 
 def test_what_is_put_on_moved_or_set_may_begin_at_a_moment():
     begun = {i for i, k in REGISTRY.items() if "by_onset" in varying(k).fields()}
-    moved = {"rest_curvature", "base_tilt", "tip_payload", "contact", "sensor_bias"}
+    moved = {"rest_curvature", "base_tilt", "tip_payload", "contact", "sensor_bias", "sensor_scale"}
     assert begun == moved | {"pressure_bias", "pressure_leak", "actuator_delay", "sensor_delay"}
     first, last = onsets(48.0, 24)[::23]
     assert (first["onset_rad"], last["onset_rad"], first["over_rad"]) == (1.0, 47.0, 0.48)
@@ -383,5 +383,5 @@ def test_a_model_file_holds_how_an_effect_varies(tmp_path, robot):
 
 
 def test_a_camera_feels_neither_load_nor_vacuum():
-    assert set(ways(REGISTRY["sensor_scale"])) == {"by_bend", "by_rate", "by_warmth"}
+    assert set(ways(REGISTRY["sensor_scale"])) == {"by_bend", "by_rate", "by_warmth", "by_use"}
     assert set(ways(REGISTRY["tendon_friction"])) == set(WAYS)
