@@ -52,7 +52,7 @@ class Samples:
         self.k = derivatives(request)
         self.predicted = np.full(w.y.shape, np.nan)
         self.jacobian = np.full((*w.y.shape, self.k + 1), np.nan, np.float32 if request.onward else float)
-        late = [(float(d), s.latency_s()) for e, s in _effects(request) if (d := e.latency_s()) is not None]
+        late = [(float(d), _along(e, s)) for e, s in _effects(request) if (d := e.latency_s()) is not None]
         latency, self.slope = sum(d for d, _ in late), np.asarray(sum(slope for _, slope in late)) if late else None
         self.shape = shape = w.shape(w.y).shape[1]
         every = w.y.shape[1]
@@ -129,6 +129,8 @@ def _read(
         slope = derived[:, keep, part].transpose(2, 0, 1)
         if s.slope is not None and k == 0:
             rate = np.stack([(1 - w[part]) * pick(x, at[part]) + w[part] * pick(x, after[part]) for x in v])
+            if seen:
+                rate += np.stack([(pick(x, after[part]) - pick(x, at[part])) / h for x in seen])
             rate[s.shape :] = 0.0
             slope[..., :-1] -= rate.T[..., None] * s.slope
         s.jacobian[own, rows] = slope
@@ -136,3 +138,12 @@ def _read(
 
 def _effects(request: Request) -> Any:
     return zip(request.model.effects, request.slopes.effects, strict=True)
+
+
+_latency_slopes = jax.jit(jax.grad(lambda effect: effect.latency_s()))
+
+
+def _along(effect: Any, slopes: Any) -> np.ndarray:
+    """(k,) derivatives of an effect's latency by coordinates, from those of its parameters."""
+    by = zip(jax.tree.leaves(_latency_slopes(effect)), jax.tree.leaves(slopes), strict=True)
+    return np.asarray(sum(float(d) * np.asarray(x) for d, x in by))

@@ -99,16 +99,20 @@ NO_KPA = 1e-3
 
 class PressureBias(Effect):
     """Offset of regulator or gauge: P = (P_line + b P_line/(P_line + p₀))₊. With p₀ = 0 it is there whatever the
-    vacuum; a regulator that closes at the atmosphere's pressure has none in a vented line, and comes to b over p₀."""
+    vacuum; a regulator that closes at the atmosphere's pressure has none in a vented line, and comes to b over p₀. A
+    gauge that is switched on for each run may settle: b (1 − s + s exp(−t/τ))."""
 
     id, block, axes = "pressure_bias", "jamming", ("pressure", "everywhere")
     sudden = True
     offset_kpa: jax.Array = parameter("kPa", 0.0, -20.0, 20.0, 1.0)
     vented_kpa: jax.Array = shape("kPa", 0.0, 0.0, 20.0, (0.0, 0.5, 4.0))
+    settles: jax.Array = shape("1", 0.0, -10.0, 1.0, (1.0, 0.0))
+    settles_s: jax.Array = shape("s", 5.0, 0.1, 1e3, (5.0,))
 
     def evacuate(self, memory, vacuum, now):
         p = positive(vacuum) + NO_KPA
-        return positive(vacuum + self.offset_kpa * p / (p + self.vented_kpa)), memory
+        offset = self.offset_kpa * (1 + self.settles * jnp.expm1(-(now.t + 0.5 * now.h) / self.settles_s))
+        return positive(vacuum + offset * p / (p + self.vented_kpa)), memory
 
 
 class StiffnessSaturation(Effect):

@@ -83,3 +83,30 @@ def test_what_the_shapes_sensor_does_does_not_touch_the_tip(motions):
     moving = windows.sample_t > 0.5  # where a run starts is told from the shape, by the scale
     shown, hidden = (np.abs(slopes[moving, column, 1:3]).max(axis=0) for column in (0, 1))
     assert np.all(shown > 1e-3) and np.all(hidden < 0.01 * shown) and np.abs(slopes[moving, 1, 0]).max() > 1e-3
+
+
+def test_a_shape_smoothed_afterwards_shows_what_is_to_come(motions):
+    """The mean from 60 ms before to 60 ms after, but for what a filter leaves of a moving average; a run's own end
+    stands for what came after it."""
+    with_both = with_tips([posed(m, len(m.q0) * m.y[:, 0]) for m in motions])
+    tau, name = 0.02, "effects.sensor_filter.undone"
+    model = replace(
+        universal(guess(robot()).model, [REGISTRY["sensor_filter"]]),
+        {"effects.sensor_filter.tau_s": tau, "effects.sensor_filter.later": 1.0, name: 0.9},
+    )
+    problem = Problem(Coordinates(model, (name,), 20.0), with_both)
+    windows, at, shown = cut(with_both, QUICK.step_s), problem.coordinates.start, []
+    for x in (at, at + 0.001):
+        search = Search(problem, windows, QUICK)
+        assert together([search.look(x)]) == [None] and search.point is not None
+        shown.append(search.point.answer)
+    predicted, slope = shown[0].predicted, shown[0].jacobian[:, 0, 0]
+    for run in (0, 1):
+        mine = windows.sample_run == run
+        t, (shape, tip) = windows.sample_t[mine], predicted[mine].T
+        inside = (t > t[0] + 0.5) & (t < t[-1] - 0.2)
+        mean = np.mean([np.interp(t - 0.3 * tau + s, t, tip) for s in np.linspace(-3 * tau, 3 * tau, 61)], axis=0)
+        off, lag = (shape - mean)[inside], (np.interp(t - 3 * tau, t, tip) - tip)[inside]
+        assert np.sqrt(np.mean(off**2)) < 0.05 * np.sqrt(np.mean(lag**2))
+    differed = (shown[1].predicted - predicted)[:, 0] / 0.001
+    assert np.sqrt(np.mean((slope - differed) ** 2)) < 0.2 * np.sqrt(np.mean(differed**2))

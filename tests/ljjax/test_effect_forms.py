@@ -994,3 +994,11 @@ def test_angles_smoothed_afterwards_need_not_lag(robot):
 
     assert late(0.0) == pytest.approx(0.06, abs=0.006)
     assert late(1.0) < 0.006
+
+
+def test_a_gauge_may_settle_after_it_was_switched_on():
+    """s = 0.8, τ = 4 s: in full at first, 0.2 + 0.8/e of it after 4 s."""
+    bias: Any = REGISTRY["pressure_bias"](**{"offset_kpa": 2.0, "settles": 0.8, "settles_s": 4.0})
+    for t, share in ((0.0, 1.0), (4.0, 0.2 + 0.8 * np.exp(-1))):
+        now: Any = SimpleNamespace(t=jnp.asarray(t), h=jnp.asarray(1e-6))
+        assert float(bias.evacuate((), jnp.asarray(10.0), now)[0]) == pytest.approx(10.0 + 2.0 * share, rel=1e-3)
