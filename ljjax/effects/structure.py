@@ -264,7 +264,8 @@ class TipPayload(Effect):
     def _swung(self, memory, now):
         """Where what swings is over a step, on average, and where and how fast at its end [m, m/s]."""
         tau = jnp.sqrt(self.thread_m / GRAVITY / (1 + RINGS**2))
-        return ringing(_ends(now, self.beyond_m)[0][0], *memory, tau, RINGS, now.h)
+        place, rate = memory
+        return ringing(_ends(now, self.beyond_m)[0][0], place, rate, tau, jnp.asarray(RINGS), now.h)
 
     def remember(self, memory, now, after):
         return self._swung(memory, now)[1:]
