@@ -41,7 +41,5 @@ def test_through_an_orifice_a_sheath_is_slower_the_further_it_has_to_go(power, r
     """Shares of the way left after a short step, from 10 and from 40 kPa: τ goes with their ratio to `power`."""
     lag = REGISTRY["pressure_lag"](*map(jnp.asarray, (1.0, 1.0, power)))
     now: Any = SimpleNamespace(h=jnp.asarray(1e-3))
-    gone = [
-        float(-jnp.log(1 - lag.evacuate((0.0 * p, 0.0 * p), p, now)[1][0] / p)) for p in map(jnp.asarray, (10.0, 40.0))
-    ]
+    gone = [float(-jnp.log(1 - lag.evacuate((0.0 * p,) * 4, p, now)[1][0] / p)) for p in map(jnp.asarray, (10.0, 40.0))]
     np.testing.assert_allclose(gone[0] / gone[1], ratio, rtol=1e-3)
