@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from ljjax import batch
 from ljjax.fit import native
+from ljjax.fit.lowering import Part
 from ljjax.fit.windows import Logged
 from ljjax.step import How, advance, constants, in_balance, unsensed
 
@@ -137,22 +138,32 @@ def _native(logged: Logged, model, slopes, data) -> tuple[Any, Any, Callable] | 
     (c, state), (c_slopes, slope) = (begin.form.unflatten(list(x[..., 0, :])) for x in found)
     kinds = "value", "slope", "value", "slope", "state", "state slope", "drive", "drive"
     given = model, slopes, c, c_slopes, state, slope, data[2], 0.0
-    step = native.program(("step", logged), partial(_step, logged), kinds, given)
+    step = native.program(("step", logged), partial(_step, logged), kinds, given, _parts)
     if step is None:
         return None
     value, directed = native.rows(model, c), native.rows(slopes, c_slopes)
+    there = step.there(value, directed)
     last = [native.rows(_path(logged, x)) for x in (state, slope)]
 
     def go(state, slope, drive, h):
         state, slope = state.copy(), slope.copy()
         forces = native.rows(drive, np.broadcast_to(h, jax.tree.leaves(drive)[0].shape))
-        paths = step.run(value, directed, forces, state, slope, room=1)
+        paths = step.run(value, directed, forces, state, slope, room=1, there=there)
         for x, before in zip(paths, last, strict=True):
             x[..., 0, :] = before
         last[:] = (x[..., -1, :] for x in paths)
         return state, slope, *(step.form.unflatten(list(x)) for x in paths)
 
     return native.rows(state), native.rows(slope), go
+
+
+def _parts(model, slopes, c, c_slopes, state, slope, *_) -> list[Part]:
+    """The effects, each absent where it vanishes (`Effect.sizes`), in trees of the numbers of a step's inputs."""
+    out = []
+    for effect, own, *memory in zip(model.effects, slopes.effects, state.memory, slope.memory, strict=True):
+        nulls = {getattr(effect, n): float(effect.fields()[n]["null"]) for n in effect.sizes()}
+        out.append(Part(nulls, jax.tree.leaves(own), jax.tree.leaves(memory)))
+    return out
 
 
 def _begin(model, slopes, data, along):

@@ -2,13 +2,15 @@
 
 Values that depend on a derivative's direction are computed once a direction, the others once. Both passes are cut into
 functions of some hundred operations, which a C compiler takes in its stride; what outlives its function waits in a
-workspace, `p` of the values and `q` of one direction's derivatives.
+workspace, `p` of the values and `q` of one direction's derivatives. What an absent part of the model would do
+(`Part`) is not computed: its functions are not called, and the workspace holds the constants that would come of them.
 """
 
 from __future__ import annotations
 
+import heapq
 from collections import defaultdict
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,6 +27,15 @@ INFIX = {
 CALLS = {
     *("exp", "exp2", "expm1", "log", "log1p", "sqrt", "cbrt", "pow", "abs", "sign", "floor", "ceil", "max", "min"),
     *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"),
+}
+NUMPY = {
+    **{"mul": np.multiply, "add": np.add, "add_any": np.add, "sub": np.subtract, "div": np.divide},
+    **{"and": np.logical_and, "or": np.logical_or, "not": np.logical_not, "neg": np.negative, "real": np.float32},
+    **{"gt": np.greater, "lt": np.less, "ge": np.greater_equal, "le": np.less_equal},
+    **{"eq": np.equal, "ne": np.not_equal, "max": np.maximum, "min": np.minimum, "pow": np.power},
+    **{"atan2": np.arctan2, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan},
+    **{n: getattr(np, n) for n in ("exp", "exp2", "expm1", "log", "log1p", "sqrt", "cbrt", "abs", "sign", "floor")},
+    **{n: getattr(np, n) for n in ("ceil", "sin", "cos", "tan", "sinh", "cosh", "tanh")},
 }
 TRUTHS = {"gt", "lt", "ge", "le", "eq", "ne", "and", "or", "not"}
 SAME = {"optimization_barrier", "stop_gradient", "copy", "copy_p", "broadcast_in_dim", "reshape", "squeeze"}
@@ -127,30 +138,46 @@ class Trace:
 
 
 @dataclass(frozen=True)
+class Part:
+    """A part of the model that may be absent, in terms of a step's inputs, by their numbers: it is where the `nulls`
+    have these values and all of the `slopes` are 0. What becomes of the `states`, inputs too, is of no account then."""
+
+    nulls: Mapping[int, float]
+    slopes: Sequence[int]
+    states: Sequence[int]
+
+
+@dataclass(frozen=True)
 class Pass:
-    """Operations in functions, and where in the workspace lies what outlives them."""
+    """Operations in functions, which parts (bits) each of these needs, and where in the workspace lies what outlives
+    them."""
 
     name: str
     chunks: list[list[Operation]]
+    needs: list[int]
     slot: dict[Value, int]
     size: int
 
 
 @dataclass(frozen=True)
 class Step:
-    """A step in C: the bodies of its functions by their heads, the calls of both passes, the sizes of the workspaces,
-    and where inputs lie in them and outputs are found, in C."""
+    """A step in C: the bodies of its functions by their heads; the calls of both passes, those with a need under
+    `if (on[i])`, i its place among `needs` (the bits of the parts that must all be there); what the workspaces hold to
+    begin with, their sizes, and where inputs lie in them and outputs are found, in C."""
 
     functions: dict[str, str]
     values: str
     derivatives: str
+    needs: list[int]
+    begin: tuple[str, str]
     sizes: tuple[int, int]
     inputs: list[int]
     outputs: list[str]
 
 
-def step(closed: Any, directed: Sequence[bool]) -> Step:
-    """The closed jaxpr of a step in C; `directed` says which inputs there is one of a direction."""
+def step(closed: Any, directed: Sequence[bool], states: Sequence[int] = (), parts: Sequence[Part] = ()) -> Step:
+    """The closed jaxpr of a step in C; `directed` says which inputs there is one of a direction, `states` which of them
+    the first outputs replace."""
     trace = Trace()
     inputs = [trace.value(d) for d in directed]
     outputs = trace.run(closed.jaxpr, closed.consts, inputs)
@@ -160,43 +187,167 @@ def step(closed: Any, directed: Sequence[bool]) -> Step:
             kept.append(o)
             needed |= {x for x in o.inputs if isinstance(x, Value)}
     kept.reverse()
+    need, constant = _needs(kept, inputs, outputs, states, parts)
     passes = []
     for name, which in (("P", False), ("Q", True)):
         mine = [o for o in kept if o.result.directed == which]
-        chunks = [mine[a : a + CHUNK] for a in range(0, len(mine), CHUNK)]
+        chunks, needs = _ordered(mine, need) if parts else _cut(mine, 0)
         last: dict[Value, int] = defaultdict(lambda: -1)
         for c, chunk in enumerate(chunks):
             last.update({x: c for o in chunk for x in o.inputs if isinstance(x, Value)})
         asked = [x for o in kept if o.result.directed for x in o.inputs] if not which else []
         last.update({x: FOREVER for x in (*asked, *outputs) if isinstance(x, Value)})
-        passes.append(_placed(name, chunks, last, [x for x in inputs if x.directed == which]))
+        passes.append(_placed(name, chunks, needs, last, [x for x in inputs if x.directed == which], constant))
     slots = passes[0].slot, passes[1].slot
     functions = {}
     for each, head in zip(passes, ("(V *restrict p)", "(const V *restrict p, V *restrict q)"), strict=True):
         for c, chunk in enumerate(each.chunks):
             functions[f"void {each.name}{c}{head}"] = _body(chunk, slots)
-    values, derivatives = (
-        " ".join(f"{each.name}{c}({given});" for c in range(len(each.chunks)))
-        for each, given in zip(passes, ("p", "p, q"), strict=True)
+    every = list(dict.fromkeys(n for each in passes for n in each.needs if n))
+    calls = []
+    for each, given in zip(passes, ("p", "p, q"), strict=True):
+        on = [f"if (on[{every.index(n)}]) " if n else "" for n in each.needs]
+        calls.append(" ".join(f"{when}{each.name}{c}({given});" for c, when in enumerate(on)))
+    held = [(x, number) for x, number in constant.items() if x in slots[x.directed]]
+    begin = tuple(
+        " ".join(f"{_place(x, slots)} = (V){_literal(number)};" for x, number in held if x.directed == which)
+        for which in (False, True)
     )
     places = [slots[x.directed][x] for x in inputs]
     sizes = passes[0].size, passes[1].size
-    return Step(functions, values, derivatives, sizes, places, [_place(x, slots) for x in outputs])
+    found = [_place(x, slots) for x in outputs]
+    return Step(functions, calls[0], calls[1], every, (begin[0], begin[1]), sizes, places, found)
 
 
-def _placed(name: str, chunks: list[list[Operation]], last: dict[Value, int], inputs: Sequence[Value]) -> Pass:
-    """Slots of the workspace for the inputs, which keep theirs, and for what is asked for after its own function."""
+def _needs(
+    operations: Sequence[Operation],
+    inputs: Sequence[Value],
+    outputs: Sequence[Any],
+    states: Sequence[int],
+    parts: Sequence[Part],
+) -> tuple[dict[Value, int], dict[Value, Any]]:
+    """The parts (bits) without any of which an operation need not be done, by its result, and the constants that stand
+    for results without them."""
+    users: dict[Value, list[int]] = defaultdict(list)
+    for k, o in enumerate(operations):
+        for x in {x for x in o.inputs if isinstance(x, Value)}:
+            users[x].append(k)
+    constant: dict[Value, Any] = {}
+    still: dict[Value, int] = defaultdict(int)
+    unread: dict[tuple[int, Value], int] = defaultdict(int)
+    for bit, part in enumerate(parts):
+        known: dict[Value, Any] = {inputs[i]: np.float32(x) for i, x in part.nulls.items()}
+        known |= {inputs[i]: np.float32(0) for i in part.slopes}
+        waiting = sorted({k for x in known for k in users[x]})
+        seen = set(waiting)
+        while waiting:
+            k = heapq.heappop(waiting)
+            o = operations[k]
+            given = [known.get(x) if isinstance(x, Value) else x for x in o.inputs]
+            number = _folded(o.name, given)
+            if number is not None and constant.get(o.result, number) == number:
+                known[o.result] = constant[o.result] = number
+                still[o.result] |= 1 << bit
+                for after in users[o.result]:
+                    if after not in seen:
+                        seen.add(after)
+                        heapq.heappush(waiting, after)
+            elif o.name == "select_n" and given[0] is not None:
+                left = o.inputs[1 if given[0] else 2]
+                if isinstance(left, Value) and left not in (o.inputs[0], o.inputs[2 if given[0] else 1]):
+                    unread[k, left] |= 1 << bit
+    own = {i: sum(1 << bit for bit, part in enumerate(parts) if i in part.states) for i in states}
+    while True:
+        idle: dict[Value, int] = defaultdict(lambda: -1)
+        for k, x in enumerate(outputs):
+            if isinstance(x, Value):
+                idle[x] &= own[states[k]] if k < len(states) else 0
+        need: dict[Value, int] = {}
+        for k in reversed(range(len(operations))):
+            o = operations[k]
+            need[o.result] = still[o.result] | idle[o.result]
+            for x in {x for x in o.inputs if isinstance(x, Value)}:
+                idle[x] &= need[o.result] | unread[k, x]
+        read = {i: by & ~idle[inputs[i]] for i, by in own.items()}
+        if not any(read.values()):
+            return need, constant
+        own = {i: by & ~read[i] for i, by in own.items()}  # what a part remembers is read without it: it is kept
+
+
+def _folded(name: str, x: Sequence[Any]) -> Any:
+    """What an operation gives where those of its inputs that are not None are known; None if these do not say."""
+    zero = any(i is not None and i == 0 for i in x)
+    if name == "mul" and zero:
+        return np.float32(0)
+    if name == "and" and zero:
+        return np.bool_(False)
+    if name == "div" and x[0] is not None and x[0] == 0 and (x[1] is None or x[1] != 0):
+        return np.float32(0)
+    if name == "select_n" and x[0] is not None:
+        return x[2 if x[0] else 1]
+    if name not in NUMPY or any(i is None for i in x):
+        return None
+    with np.errstate(all="ignore"):
+        out = NUMPY[name](*x)
+    return out if np.isfinite(out) else None
+
+
+def _ordered(operations: Sequence[Operation], need: Mapping[Value, int]) -> tuple[list[list[Operation]], list[int]]:
+    """Operations in functions of those of one need, none before what it is made of, in few functions; and the needs."""
+    made_by = {o.result: k for k, o in enumerate(operations)}
+    before = [len({x for x in o.inputs if x in made_by}) for o in operations]
+    users: dict[int, list[int]] = defaultdict(list)
+    for k, o in enumerate(operations):
+        for x in {x for x in o.inputs if x in made_by}:
+            users[made_by[x]].append(k)
+    ready: dict[int, list[int]] = defaultdict(list)
+    for k, count in enumerate(before):
+        if not count:
+            ready[need[operations[k].result]].append(k)
+    chunks, needs = [], []
+    while any(ready.values()):
+        which = max(ready, key=lambda n: (n != 0 and bool(ready[n]), len(ready[n])))  # the body waits for its parts
+        mine = []
+        while ready[which]:
+            k = heapq.heappop(ready[which])
+            mine.append(operations[k])
+            for after in users[k]:
+                before[after] -= 1
+                if not before[after]:
+                    heapq.heappush(ready[need[operations[after].result]], after)
+        cut, same = _cut(mine, which)
+        chunks += cut
+        needs += same
+    return chunks, needs
+
+
+def _cut(operations: Sequence[Operation], need: int) -> tuple[list[list[Operation]], list[int]]:
+    chunks = [list(operations[a : a + CHUNK]) for a in range(0, len(operations), CHUNK)]
+    return chunks, [need] * len(chunks)
+
+
+def _placed(
+    name: str,
+    chunks: list[list[Operation]],
+    needs: list[int],
+    last: dict[Value, int],
+    inputs: Sequence[Value],
+    own: Mapping[Value, Any],
+) -> Pass:
+    """Slots of the workspace for the inputs, which keep theirs as what is in `own` does, and for what is asked for
+    after its own function."""
     slot, free, size, ends = {x: i for i, x in enumerate(inputs)}, [], len(inputs), defaultdict(list)
     for c, chunk in enumerate(chunks):
         for o in chunk:
             if last[o.result] > c:
-                if not free:
+                if not free or o.result in own:
                     free.append(size)
                     size += 1
                 slot[o.result] = free.pop()
-                ends[last[o.result]].append(slot[o.result])
+                if o.result not in own:
+                    ends[last[o.result]].append(slot[o.result])
         free += ends.pop(c, [])
-    return Pass(name, chunks, slot, size)
+    return Pass(name, chunks, needs, slot, size)
 
 
 def _body(chunk: Sequence[Operation], slots: tuple[dict[Value, int], dict[Value, int]]) -> str:

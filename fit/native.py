@@ -29,7 +29,7 @@ from ljjax.fit import lowering
 
 LANES = 8
 """Robots side by side in one operation."""
-FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-w")
+FLAGS = ("-O1", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-w")
 PRELUDE = """
 #include <math.h>
 #include <stdlib.h>
@@ -59,16 +59,18 @@ EACH(tan) EACH(asin) EACH(acos) EACH(atan) EACH(sinh) EACH(cosh) EACH(tanh) BOTH
 WINDOW = """
 #define ROW(a, i) (*(U *)((a) + (size_t)(i) * lanes + lane))
 int window(int lanes, int steps, int ways, int room, const float *c, const float *ct, const float *d,
-           float *s, float *st, float *y, float *yt)
+           float *s, float *st, float *y, float *yt, const unsigned char *on)
 {
     V *p = aligned_alloc(64, 2 * sizeof(V) * (@P@ / 2 + 1));
     V *all = aligned_alloc(64, 2 * sizeof(V) * (@Q@ / 2 + 1) * (ways + 1)), new[@N_STATE@ + 1];
     if (!p || !all) { free(p); free(all); return 1; }
-    for (int lane = 0; lane < lanes; lane += 8) {
+    for (int lane = 0; lane < lanes; lane += 8, on += @N_NEEDS@) {
+        @BEGIN_VALUES@
         for (int i = 0; i < @N_VALUE@; i++) p[value[i]] = ROW(c, i);
         for (int i = 0; i < @N_STATE@; i++) p[state[i]] = ROW(s, i);
         for (int w = 0; w < ways; w++) {
             V *q = all + (size_t)@Q@ * w;
+            @BEGIN_SLOPES@
             for (int i = 0; i < @N_SLOPE@; i++) q[slope[i]] = ROW(ct, i * ways + w);
             for (int i = 0; i < @N_STATE@; i++) q[state_slope[i]] = ROW(st, i * ways + w);
         }
@@ -112,12 +114,19 @@ class Program:
         kinds: `value` or `slope`, alike in all steps; `state` or `state slope`, replaced by the new ones after each
             step; `drive`, others in each step.
         given: such trees, whatever their numbers.
+        parts: what may be absent (`ljjax.fit.lowering.Part`), of a tree of the numbers of all inputs.
 
     Raises:
         NotImplementedError, OSError: the function, or the machine's compiler, is not up to it.
     """
 
-    def __init__(self, function: Callable, kinds: Sequence[str], given: Sequence[Any]):
+    def __init__(
+        self,
+        function: Callable,
+        kinds: Sequence[str],
+        given: Sequence[Any],
+        parts: Callable[..., list[lowering.Part]] = lambda *_: [],
+    ):
         def one(kind: str, tree: Any) -> Any:  # any number of directions would do: the C takes as many as there are
             shape = (2,) if "slope" in kind else ()
             return jax.tree.map(lambda x: jax.ShapeDtypeStruct(shape, np.float32), tree)
@@ -125,10 +134,17 @@ class Program:
         trees = [one(kind, tree) for kind, tree in zip(kinds, given, strict=True)]
         kind_of = [kind for kind, tree in zip(kinds, trees, strict=True) for _ in jax.tree.leaves(tree)]
         jaxpr, out = jax.make_jaxpr(function, return_shape=True)(*trees)
-        lowered = lowering.step(jaxpr, ["slope" in kind for kind in kind_of])
+        form, place = jax.tree.structure(trees), {kind: [] for kind in KINDS}
+        for i, kind in enumerate(kind_of):
+            place[kind].append(i)
+        self.parts = parts(*jax.tree.unflatten(form, range(len(kind_of))))
+        states = [*place["state"], *place["state slope"]]
+        lowered = lowering.step(jaxpr, ["slope" in kind for kind in kind_of], states, self.parts)
+        self.needs = lowered.needs
+        self._rows = {i: row for kind in ("value", "slope") for row, i in enumerate(place[kind])}
         places = {kind: [x for x, k in zip(lowered.inputs, kind_of, strict=True) if k == kind] for kind in KINDS}
-        states = len(places["state"])
-        new, new_slopes, rest = np.split(np.array(lowered.outputs), [states, 2 * states])
+        count = len(place["state"])
+        new, new_slopes, rest = np.split(np.array(lowered.outputs), [count, 2 * count])
         values = [f"new[{i}] = {x};" for i, x in enumerate(new)]
         slopes = [f"new[{i}] = {x};" for i, x in enumerate(new_slopes)]
         self.count = len(rest) // 2
@@ -141,7 +157,8 @@ class Program:
             **{f"N_{kind.upper().replace(' ', '_')}": len(x) for kind, x in places.items()},
             **{"VALUES": lowered.values, "SLOPES": lowered.derivatives},
             **{"NEW_VALUES": "\n".join(values), "NEW_SLOPES": "\n".join(slopes)},
-            **{"P": lowered.sizes[0], "Q": lowered.sizes[1]},
+            **{"P": lowered.sizes[0], "Q": lowered.sizes[1], "N_NEEDS": len(self.needs)},
+            **dict(zip(("BEGIN_VALUES", "BEGIN_SLOPES"), lowered.begin, strict=True)),
         }.items():
             window = window.replace(f"@{name}@", str(text))
         tables = [f"static const int {k.replace(' ', '_')}[] = {{{_listed(x or [0])}}};\n" for k, x in places.items()]
@@ -153,26 +170,48 @@ class Program:
         self.window = _compiled(sources)
         self.form = jax.tree.structure(out[2])
 
-    def run(self, value, slope, drive, state, state_slope, room: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    def there(self, value: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """(W / `LANES`, needs) which functions of the parts any of `LANES` robots needs, by values and slopes (`run`)."""
+        lanes = value.shape[-1]
+        parts = np.zeros((len(self.parts), lanes // LANES), bool)
+        moves = np.any(slope != 0, axis=1) if slope.shape[1] else np.zeros((len(slope), lanes), bool)
+        for k, part in enumerate(self.parts):
+            rows, nulls = [self._rows[i] for i in part.nulls], np.array([*part.nulls.values()], np.float32)
+            off = np.any(value[rows] != nulls[:, None], axis=0)
+            off |= np.any(moves[[self._rows[i] for i in part.slopes]], axis=0)
+            parts[k] = off.reshape(-1, LANES).any(axis=1)
+        needed = [parts[[k for k in range(len(parts)) if n >> k & 1]].all(axis=0) for n in self.needs]
+        return np.array(needed, np.uint8).reshape(len(self.needs), lanes // LANES).T.copy()
+
+    def run(
+        self, value, slope, drive, state, state_slope, room: int = 0, there: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The values (v, room + steps, W) and their derivatives (v, K, room + steps, W), nothing in the room, from rows
         of what is given: (i, W), (i, K, W) and, drives, (i, steps, W); states and their derivatives are replaced by the
-        last ones. W a multiple of `LANES`."""
+        last ones. W a multiple of `LANES`. `there` is what `there` says, if that is known."""
         (ways, lanes), steps = slope.shape[1:], drive.shape[1]
         assert lanes % LANES == 0
         y, yt = (np.empty((self.count, *k, room + steps, lanes), np.float32) for k in ((), (ways,)))
-        arrays = value, slope, drive, state, state_slope, y, yt
+        there = self.there(value, slope) if there is None else there
+        arrays = value, slope, drive, state, state_slope, y, yt, there
         if self.window(lanes, steps, ways, room, *(x.ctypes.data_as(ctypes.c_void_p) for x in arrays)):
             raise MemoryError
         return y, yt
 
 
-def program(name: Hashable, function: Callable, kinds: Sequence[str], given: Sequence[Any]) -> Program | None:
+def program(
+    name: Hashable,
+    function: Callable,
+    kinds: Sequence[str],
+    given: Sequence[Any],
+    parts: Callable[..., list[lowering.Part]] = lambda *_: [],
+) -> Program | None:
     """The program of a function known by its name and the forms of what is given; None where there can be none."""
     key = (name, *map(jax.tree.structure, given))
     with _lock:
         if key not in _programs:
             try:
-                _programs[key] = Program(function, kinds, given)
+                _programs[key] = Program(function, kinds, given, parts)
             except (NotImplementedError, OSError, subprocess.SubprocessError):
                 _programs[key] = None
         return _programs[key]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from ljjax.effect import acting
 from ljjax.fit.windows import STEPS
 
 if TYPE_CHECKING:
@@ -52,7 +53,8 @@ class Samples:
         self.k = derivatives(request)
         self.predicted = np.full(w.y.shape, np.nan)
         self.jacobian = np.full((*w.y.shape, self.k + 1), np.nan, np.float32 if request.onward else float)
-        late = [(float(d), _along(e, s)) for e, s in _effects(request) if (d := e.latency_s()) is not None]
+        effects, moved = request.model.effects, request.slopes.effects
+        late = [(float(latency()), _along(effects[k], moved[k])) for k, latency in acting(effects, "latency_s")]
         latency, self.slope = sum(d for d, _ in late), np.asarray(sum(slope for _, slope in late)) if late else None
         self.shape = shape = w.shape(w.y).shape[1]
         every = w.y.shape[1]
@@ -136,14 +138,12 @@ def _read(
         s.jacobian[own, rows] = slope
 
 
-def _effects(request: Request) -> Any:
-    return zip(request.model.effects, request.slopes.effects, strict=True)
-
-
 _latency_slopes = jax.jit(jax.grad(lambda effect: effect.latency_s()))
 
 
 def _along(effect: Any, slopes: Any) -> np.ndarray:
     """(k,) derivatives of an effect's latency by coordinates, from those of its parameters."""
-    by = zip(jax.tree.leaves(_latency_slopes(effect)), jax.tree.leaves(slopes), strict=True)
-    return np.asarray(sum(float(d) * np.asarray(x) for d, x in by))
+    moved = jax.tree.leaves(slopes)
+    if not any(np.any(x) for x in moved):
+        return np.zeros_like(moved[0])
+    return np.asarray(sum(float(d) * x for d, x in zip(jax.tree.leaves(_latency_slopes(effect)), moved, strict=True)))

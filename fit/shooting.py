@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 import jax
 import numpy as np
 
+from ljjax.effect import acting
 from ljjax.fit import native
 from ljjax.fit.kernel import balance, on_all_cores, onward, shoot, tiled
 from ljjax.fit.samples import Samples, derivatives, read
@@ -289,7 +290,7 @@ jax.tree_util.register_dataclass(Starts, ["state", "slope"], [])
 
 def _drive(windows: Windows, model: Model) -> Drive:
     late, left, right = None, windows.left, windows.right
-    delays = [float(d) for e in model.effects if (d := e.delay_s()) is not None]
+    delays = [float(delay_s()) for _, delay_s in acting(model.effects, "delay_s")]
     if delays:
         left, right, slopes = windows.delayed(sum(delays)) if sum(delays) else windows.undelayed
         late = slopes[0].T, slopes[1].T

@@ -12,6 +12,8 @@ and `sense` hand back a new one.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -181,6 +183,8 @@ class Effect(eqx.Module):
         return y
 
 
-def overrides(effects: tuple[Effect, ...], hook: str) -> bool:
-    """Whether any of the effects has a hook of its own."""
-    return any(getattr(type(e), hook) is not getattr(Effect, hook) for e in effects)
+def acting(effects: Sequence[Effect], hook: str) -> list[tuple[int, Callable[..., Any]]]:
+    """Of the effects that have a hook of their own their places, and that hook: without equinox's bound methods, each
+    of which is a tree made anew, and takes longer than most hooks."""
+    own = [(k, getattr(type(e), hook), e) for k, e in enumerate(effects)]
+    return [(k, partial(function, e)) for k, function, e in own if function is not getattr(Effect, hook)]

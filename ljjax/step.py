@@ -30,7 +30,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ljjax import energy
-from ljjax.effect import Effect, Memory, Now, Vector, overrides
+from ljjax.effect import Effect, Memory, Now, Vector, acting
 from ljjax.friction import stribeck
 from ljjax.model import Friction, Model
 
@@ -222,8 +222,8 @@ def _joint(how: How, stage: _Stage, i: int, v: Array, side: Array) -> tuple[Arra
     bend = _piece(how, stribeck(f, v) if stage.slip is None else stage.slip[i] * stribeck(f, v))
     z = _piece(how, (start + stage.s * v) / (1 + stage.s * f.sigma0 * (side * v) / bend))
     torque = stage.phi[i] * (f.sigma0 * z + f.sigma1 * (z - start) / stage.s + f.sigma2 * v) + stage.alpha2[i] * q
-    for effect, memory in zip(stage.effects, stage.memory, strict=True):
-        more = effect.torque(memory, i, q, v, stage)
+    for k, resist in acting(stage.effects, "torque"):
+        more = resist(stage.memory[k], i, q, v, stage)
         torque = torque if more is None else torque + more
     return torque, z
 
@@ -329,8 +329,8 @@ def in_balance(model: Model, q: Vector, v: Vector, drive: Drive) -> Unrolled:
 def unsensed(model: Model, q: Vector, v: Vector, drive: Drive) -> Vector:
     """The joint angles that are [rad], from those that are logged (q, at the rate v): effects of sensing undone."""
     now = _now(model, Unrolled(q, v, v), drive, jnp.full_like(drive.left, MOMENT_S))
-    for effect in reversed(model.effects):
-        q = effect.unsense(q, now)
+    for _, unsense in reversed(acting(model.effects, "unsense")):
+        q = unsense(q, now)
     return q
 
 
@@ -350,10 +350,10 @@ def _now(model: Model, state: Unrolled, drive: Drive, h: Array) -> Now:
     middle = tuple(q + 0.5 * h * v for q, v in zip(state.q, state.v, strict=True))
     u = drive.left, drive.right
     if drive.late is not None:
-        for effect in model.effects:
-            if (delay := effect.delay_s()) is not None:  # to first order, whose value the inputs hold already
-                more = delay - jax.lax.stop_gradient(delay)
-                u = u[0] + more * drive.late[0], u[1] + more * drive.late[1]
+        for _, delay_s in acting(model.effects, "delay_s"):  # to first order, whose value the inputs hold already
+            delay = delay_s()
+            more = delay - jax.lax.stop_gradient(delay)
+            u = u[0] + more * drive.late[0], u[1] + more * drive.late[1]
     warm = drive.warm
     if warm is None:
         warm = zero if drive.t is None else -SELF_HEATING_K * jnp.expm1(-drive.t / SELF_HEATING_S)
@@ -380,24 +380,29 @@ def _inputs(
     start, each with what reaches it."""
     n = len(now.q)
     kept = list(memory) if memory is not None else [()] * len(model.effects)
-    for k, effect in enumerate(model.effects):
-        if memory is None:
-            kept[k] = effect.start(now)
-        u, kept[k] = effect.actuate(kept[k], now.u, now)
-        now = now._replace(u=u)
-        vacuum, kept[k] = effect.evacuate(kept[k], now.vacuum, now)
-        now = now._replace(vacuum=vacuum)
+    start, actuate, evacuate = (dict(acting(model.effects, hook)) for hook in ("start", "actuate", "evacuate"))
+    for k in range(len(kept)):
+        if memory is None and k in start:
+            kept[k] = start[k](now)
+        if k in actuate:
+            u, kept[k] = actuate[k](kept[k], now.u, now)
+            now = now._replace(u=u)
+        if k in evacuate:
+            vacuum, kept[k] = evacuate[k](kept[k], now.vacuum, now)
+            now = now._replace(vacuum=vacuum)
     alpha2, phi = (energy.alpha2(model, now.vacuum),) * n, (energy.phi(model, now.vacuum),) * n
-    for effect, own in zip(model.effects, kept, strict=True):
-        alpha2, phi = effect.alpha2(own, alpha2, now), effect.phi(own, phi, now)
+    for k, change in acting(model.effects, "alpha2"):
+        alpha2 = change(kept[k], alpha2, now)
+    for k, change in acting(model.effects, "phi"):
+        phi = change(kept[k], phi, now)
     return now, tuple(kept), alpha2, phi
 
 
 def _possible(model: Model, vacuum: Array, alpha2: Vector, phi: Vector) -> tuple[Vector, Vector]:
     """α₂ and φ as far as effects leave a spring and a friction: `LEAST` of them."""
-    if overrides(model.effects, "alpha2"):
+    if acting(model.effects, "alpha2"):
         alpha2 = tuple(jnp.maximum(x, LEAST * energy.alpha2(model, vacuum)) for x in alpha2)
-    if overrides(model.effects, "phi"):
+    if acting(model.effects, "phi"):
         phi = tuple(jnp.maximum(x, LEAST * energy.phi(model, vacuum)) for x in phi)
     return alpha2, phi
 
@@ -416,21 +421,22 @@ def _load(model: Model, now: Now, memory: tuple[Memory, ...], drive: Drive) -> V
     load = (arm * (now.u[0] - now.u[1]),) * n
     if drive.torque is not None:
         load = tuple(load[i] + drive.torque[i] for i in range(n))
-    for effect, own in zip(model.effects, memory, strict=True):
-        load = effect.load(own, load, now)
+    for k, push in acting(model.effects, "load"):
+        load = push(memory[k], load, now)
     return load
 
 
 def _sense(
     model: Model, q: Vector, now: Now, memory: tuple[Memory, ...], starts: bool = False
 ) -> tuple[Vector | None, tuple[Memory, ...]]:
-    if not overrides(model.effects, "sense"):
+    sensors, start = acting(model.effects, "sense"), dict(acting(model.effects, "start"))
+    if not sensors:
         return None, memory
     kept = list(memory)
-    for k, effect in enumerate(model.effects):
-        if starts and overrides((effect,), "sense"):  # what it has seen so far is what those before it show
-            kept[k] = effect.start(now._replace(q=q))
-        q, kept[k] = effect.sense(kept[k], q, now)
+    for k, sense in sensors:
+        if starts and k in start:  # what it has seen so far is what those before it show
+            kept[k] = start[k](now._replace(q=q))
+        q, kept[k] = sense(kept[k], q, now)
     return q, tuple(kept)
 
 
@@ -444,13 +450,13 @@ def advance(model: Model, c: Constants, state: Unrolled, drive: Drive, h: Any, h
     now = now._replace(alpha2=alpha2, phi=phi)
     still = tuple(jnp.zeros_like(x) for x in state.q), tuple(jnp.ones_like(x) for x in state.q)
     m, coriolis = inertia_and_coriolis(how, c, *(still if model.constant_mass else (now.sin, now.cos)), state.v)
-    for effect, own in zip(model.effects, memory, strict=True):
-        m = effect.inertia(own, m, now)
+    for k, load in acting(model.effects, "inertia"):
+        m = load(memory[k], m, now)
     slip = None
-    if overrides(model.effects, "slip"):
+    if sheets := acting(model.effects, "slip"):
         slip = (jnp.ones_like(alpha2[0]),) * n
-        for effect, own in zip(model.effects, memory, strict=True):
-            slip = effect.slip(own, slip, now)
+        for k, change in sheets:
+            slip = change(memory[k], slip, now)
     load = _load(model, now, memory, drive)
     if not model.constant_mass:
         load = tuple(load[i] - coriolis[i] for i in range(n))
@@ -486,6 +492,8 @@ def advance(model: Model, c: Constants, state: Unrolled, drive: Drive, h: Any, h
     else:
         q, v, z = solve(*onward(solve(begun, state.v, s)), h)
     after = Unrolled(q, v, z)
-    memory = tuple(e.remember(own, now, after) for e, own in zip(model.effects, memory, strict=True))
-    sensed, memory = _sense(model, q, now, memory)
+    kept = list(memory)
+    for k, remember in acting(model.effects, "remember"):
+        kept[k] = remember(kept[k], now, after)
+    sensed, memory = _sense(model, q, now, tuple(kept))
     return Unrolled(q, v, z, memory, sensed)
