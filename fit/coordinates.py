@@ -125,8 +125,11 @@ class Coordinates:
         if not np.all(np.isfinite(x)):
             return False
         try:
-            check(self.numbers(x), (0.0, self.pressure))
+            check(without_effects(self.numbers(x)), (0.0, self.pressure))
         except InputError:
+            return False
+        values = dict(zip(self.names, self.physical(x), strict=True))
+        if not all(low <= values[p] <= high for p, (low, high) in self.bounds.items() if p.startswith("effects.")):
             return False
         return set(GROUPS[2]) <= set(self.names) or float(passivity_margin(self.model(x))) >= -1e-9
 

@@ -136,12 +136,10 @@ class Search:
                 if not _gap(following, answer.used) > self.how.meet_rad:
                     break
                 answer = yield from self._ask(x, offset, following)
-        model = self.problem.coordinates.model(x)
-        slope = self.problem.coordinates.jacobian(x)
-        statics = []
+        statics, c = [], self.problem.coordinates
         for points in self.problem.points:
-            value, jacobian = value_and_jacobian(model, points, self.problem.coordinates.names)
-            statics.append((value, jacobian @ slope))
+            value, jacobian = value_and_jacobian(c.model(x), points, c.names)
+            statics.append((value, jacobian @ c.jacobian(x)))
         return _Point(x, offset, answer, statics)
 
     def _chained(self, answer: Answer) -> Starts:

@@ -134,7 +134,8 @@ class Program:
         trees = [one(kind, tree) for kind, tree in zip(kinds, given, strict=True)]
         kind_of = [kind for kind, tree in zip(kinds, trees, strict=True) for _ in jax.tree.leaves(tree)]
         jaxpr, out = jax.make_jaxpr(function, return_shape=True)(*trees)
-        form, place = jax.tree.structure(trees), {kind: [] for kind in KINDS}
+        form = jax.tree.structure(trees)
+        place: dict[str, list[int]] = {kind: [] for kind in KINDS}
         for i, kind in enumerate(kind_of):
             place[kind].append(i)
         self.parts = parts(*jax.tree.unflatten(form, range(len(kind_of))))
@@ -164,14 +165,14 @@ class Program:
         tables = [f"static const int {k.replace(' ', '_')}[] = {{{_listed(x or [0])}}};\n" for k, x in places.items()]
         heads = "".join(f"{head};\n" for head in lowered.functions)
         bodies = [f"{head} {{\n{body}\n}}\n" for head, body in lowered.functions.items()]
-        parts = min(4, os.cpu_count() or 1)
-        sources = [PRELUDE + heads + "".join(bodies[i::parts]) for i in range(parts)]
+        files = min(4, os.cpu_count() or 1)
+        sources = [PRELUDE + heads + "".join(bodies[i::files]) for i in range(files)]
         sources[0] += "".join(tables) + window
         self.window = _compiled(sources)
         self.form = jax.tree.structure(out[2])
 
     def there(self, value: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """(W / `LANES`, needs) which functions of the parts any of `LANES` robots needs, by values and slopes (`run`)."""
+        """(W / `LANES`, needs) what any of so many robots needs of the parts, by values and slopes (`run`)."""
         lanes = value.shape[-1]
         parts = np.zeros((len(self.parts), lanes // LANES), bool)
         moves = np.any(slope != 0, axis=1) if slope.shape[1] else np.zeros((len(slope), lanes), bool)

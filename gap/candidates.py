@@ -7,6 +7,7 @@ import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 from ljjax.effect import Effect
@@ -69,7 +70,12 @@ def still(kind: type[Effect]) -> dict[str, float]:
 
 def universal(model: Model, kinds: Sequence[type[Effect]]) -> Model:
     """The model with every effect of `kinds` at its null: one program simulates all candidates."""
-    return dataclasses.replace(without_effects(model), effects=tuple(kind() for kind in kinds))
+    return dataclasses.replace(without_effects(model), effects=tuple(map(_null, kinds)))
+
+
+@cache
+def _null(kind: type[Effect]) -> Effect:
+    return kind()
 
 
 def sizes(kind: type[Effect], joints: int, logged: int) -> list[str]:

@@ -363,9 +363,11 @@ class Selection:
         best = min(pairs, key=self.left, default=None)
         first = [i for i in best.ids if i in alone] if best and self.left(best) < FURTHER else []
         kinds, out = variation.by_run(), list[Refit]()
-        study, known = variation.free(kinds), [int(r) for r in self._telling]
+        grounds = [alone[i] for i in dict.fromkeys([*first, *alone])][:EVERY]
+        under = {k.id: k for k in self.study.kinds if any(k.id in g.ids for g in grounds)}
+        study, known = variation.only({**under, **kinds}), [int(r) for r in self._telling]
         other = min(known, key=lambda r: self.base.loss[r])
-        for ground in [alone[i] for i in dict.fromkeys([*first, *alone])][:EVERY]:
+        for ground in grounds:
             both = [
                 Trial((*ground.ids, i), {**ground.free_effects, **t.start, path(kinds[i], EACH.format(other + 1)): 0.0})
                 for i in kinds

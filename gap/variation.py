@@ -98,8 +98,7 @@ class Variation:
         ordered, least = sorted(single.values(), key=self.left), self._least(single)
         near = [r for r in ordered if self.left(r) < NEARBY * least and self.left(r) < HOPELESS][:VARYING]
         kinds = {k.id: varying(k) for k in self.study.kinds if varies(k) and any(r.ids == (k.id,) for r in near)}
-        free = self.free(kinds)
-        varied = free.varied([single[i] for i in kinds], "varying effects")
+        varied = self.only(kinds).varied([single[i] for i in kinds], "varying effects")
         better = self._better(single, varied)
         if kept := {i: r for i, r in better.items() if self._left_out(r) < self._left_out(single[i])}:
             self.keep({i: kinds[i] for i in kept})
@@ -157,9 +156,9 @@ class Variation:
     ) -> None:
         """Effects that promise most where they vary in one of the ways `pilots`: what varies much may do nothing as it
         stands."""
-        free, screen = self.free(kinds), self._screened(kinds, pilots)
-        first = [key for key in ahead(screen, len(screen.ids)) if key[0] in kinds][:VARYING]
-        steps = {}
+        screen = self._screened(kinds, pilots)
+        first = ahead(screen, VARYING)
+        free, steps = self.only({i: kinds[i] for i, _ in first}), {}
         for key in first:
             trial, step = free.trial(screen, key)
             steps[Trial(trial.ids, {**still(kinds[key[0]]), **trial.start})] = step
@@ -190,7 +189,7 @@ class Variation:
             trials.append(Trial((i,), {**sizes, **shares, **forms}))
         if not trials:
             return
-        free = self.free(kinds)
+        free = self.only({i: kinds[i] for trial in trials for i in trial.ids})
         stage = "effects that change from run to run"
         found = free.refit(self.base.model, trials, None, stage=stage, finish=VARYING)
         found += free.refit(self.study.start, trials, None, stage=f"{stage}, from the given model", finish=VARYING)
@@ -199,13 +198,12 @@ class Variation:
     def _screened(
         self, kinds: Mapping[str, type[Effect]], pilots: Callable[[type[Effect]], list[dict[str, float]]]
     ) -> Screen:
-        """The screen of the base where these effects are tried as `pilots` say, others as they did best."""
+        """The screen of the base where these effects are tried as `pilots` say, but for that as they did best."""
 
         def forms(kind: type[Effect]) -> list[dict[str, float]]:
-            usual = dict(self.screen.forms[self.screen.best(kind.id)])
-            return [{**usual, **way} for way in pilots(kind)] if kind.id in kinds else [usual]
+            return [{**self.screen.forms[self.screen.best(kind.id)], **way} for way in pilots(kind)]
 
-        return self.free(kinds).screen(self.base, forms)
+        return self.only(kinds).screen(self.base, forms)
 
     def _keep(
         self, single: dict[str, Refit], found: Sequence[Refit], kinds: Mapping[str, type[Effect]], stage: str
@@ -213,8 +211,13 @@ class Variation:
         """Of effects found to vary those that leave notably less stay so, and are taken further; as they were found."""
         if kept := self._better(single, found):
             self.keep({i: kinds[i] for i in kept})
-            single |= self._better(single, self.study.varied(list(kept.values()), f"{stage}, once more"))
+            again = self.only({i: kinds[i] for i in kept}).varied(list(kept.values()), f"{stage}, once more")
+            single |= self._better(single, again)
         return kept
+
+    def only(self, kinds: Mapping[str, type[Effect]]) -> Study:
+        """The study of these effects alone, which takes less time."""
+        return replace(self.study, kinds=[kinds[k.id] for k in self.study.kinds if k.id in kinds])
 
     def free(self, kinds: Mapping[str, type[Effect]]) -> Study:
         """The study with these effects in place of those of the same ids."""

@@ -14,6 +14,7 @@ from ljjax.effects.shapes import bounded, saturated
 from ljjax.fit import native
 from ljjax.fit.coordinates import Coordinates
 from ljjax.fit.dynamic import Search
+from ljjax.fit.lowering import Part
 from ljjax.fit.problem import Problem
 from ljjax.fit.run import prepared
 from ljjax.fit.shooting import together
@@ -94,6 +95,53 @@ def test_every_operation_and_its_derivative_is_that_of_xla():
     expected = jax.vmap(pushed, in_axes=(0, 0, 1, 1), out_axes=(0, 0, 0, 1))(x, y, dx, dy)[2:]
     for a, b in zip((row for rows in found for row in rows), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(a[..., 0, :], b, rtol=2e-5, atol=2e-5)
+
+
+@needs_cc
+def test_what_an_absent_part_would_do_is_not_computed():
+    """A part of size s that remembers m: nothing comes of it where s and its slope are 0, not even of what is no number
+    there, and its memory is left alone; eight robots beside one that has it compute it."""
+
+    def pushed(s, x, ds, dx, m, dm):
+        def f(s, x, m):
+            old = 2.0 * m
+            return m + x, jnp.where(s > 0.0, old, x) + s * jnp.sqrt(x)
+
+        (new, y), (dnew, dy) = jax.vmap(lambda *t: jax.jvp(f, (s, x, m), t), out_axes=(None, 0))(ds, dx, dm)
+        return (new,), (dnew,), (y,), (dy,)
+
+    def part(s, x, ds, dx, m, dm):
+        return [Part({s: 0.0}, [ds], [m, dm])]
+
+    kinds = "value", "value", "slope", "slope", "state", "state slope"
+    program = native.Program(pushed, kinds, (0.0,) * 6, part)
+    s = np.zeros(24, np.float32)
+    s[3], x = 0.5, np.full(24, -1.0, np.float32)
+    x[:8] = 4.0
+    ds, dx = np.zeros((1, 24), np.float32), np.ones((1, 24), np.float32)
+    ds[0, 20] = 1.0
+    m, dm, drive = np.full((1, 24), 3.0, np.float32), np.zeros((1, 1, 24), np.float32), np.zeros((1, 1, 24), np.float32)
+    (y,), (dy,) = (v[..., 0, :] for v in program.run(native.rows(s, x), native.rows(ds, dx), drive, m, dm))
+    np.testing.assert_allclose(y[[0, 3, 8]], [4.0, 6.0 + 0.5 * 2.0, -1.0])
+    np.testing.assert_allclose(dy[0, [0, 3, 8]], [1.0, 0.5 * 0.5 / 2.0, 1.0])
+    assert np.isnan(y[20])  # there its slope is asked for
+    np.testing.assert_allclose(m[0, :8], 7.0)
+    assert program.needs == [1]
+
+
+@needs_cc
+def test_a_memory_that_is_read_without_its_part_is_kept():
+    def pushed(s, ds, m, dm):
+        (new, y), (dnew, dy) = jax.vmap(
+            lambda *t: jax.jvp(lambda s, m: (m + 1.0, m + s), (s, m), t), out_axes=(None, 0)
+        )(ds, dm)
+        return (new,), (dnew,), (y,), (dy,)
+
+    kinds = "value", "slope", "state", "state slope"
+    program = native.Program(pushed, kinds, (0.0,) * 4, lambda s, ds, m, dm: [Part({s: 0.0}, [ds], [m, dm])])
+    none, m, dm = np.zeros((1, 1, 8), np.float32), np.zeros((1, 8), np.float32), np.zeros((1, 1, 8), np.float32)
+    (y,), _ = program.run(np.zeros((1, 8), np.float32), none, np.zeros((1, 3, 8), np.float32), m, dm)
+    np.testing.assert_allclose(y[:, 0], [0.0, 1.0, 2.0])
 
 
 @needs_cc

@@ -199,7 +199,7 @@ def test_a_second_effect_may_be_another_in_each_run(leaves, kept, monkeypatch):
     trial = lambda screen, key: (steps[key], None)  # noqa: E731
     selection.study = SimpleNamespace(kinds=list(REGISTRY.values()), motions=[None] * 4, trial=trial, refit=refit)
     selection._from_given = SimpleNamespace(best=lambda i: (i, 0))
-    variation: Any = SimpleNamespace(plain={}, by_run=lambda: sudden, free=lambda _: selection.study)
+    variation: Any = SimpleNamespace(plain={}, by_run=lambda: sudden, only=lambda _: selection.study)
     variation.keep = staying.update
     found = selection._mounted(variation, [hysteresis, asym], [pair])
     assert found[0].ids == ("friction_asymmetry", "sensor_bias")
