@@ -303,7 +303,9 @@ class Inquiry:
         as_given = worse < count + 4 * np.sqrt(2 * count) or self.given.total < self.base.total + matters
         excess = self.excess / max(self.floor, 1e-9)
         flexible = self._flexible()
-        return judge.Evidence(excess, left, size, self.unit, chance, bool(as_given), unseen, flexible, used, held_out)
+        steady = {i: self.left(r) for i, r in self.selection.steady.items()} if len(found.best.ids) == 1 else {}
+        about = unseen, flexible, used, held_out, steady
+        return judge.Evidence(excess, left, size, self.unit, chance, bool(as_given), *about)
 
     def _flexible(self) -> dict[str, float]:
         """By place, what a stand-in there leaves of the shape's gap; where the effects found leave little, nothing,

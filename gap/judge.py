@@ -40,7 +40,7 @@ class Weights:
     simpler: float
 
 
-WEIGHTS = Weights(5.0, 0.5, 0.08, 0.6, 0.05, 1.2)
+WEIGHTS = Weights(4.0, 0.5, 0.08, 0.6, 0.05, 1.2)
 """Chosen by hand, four by fresh robots. What stays with the unforeseen by how often answers were wrong that had nothing
 else in doubt: 6 of 116. The odds of what is outside the library, what the best inside it leaves of that, and what a
 parameter costs by the 106 robots of `benchmarks.blind.calibrate` before seed 4501, near what it fitted to them: their
@@ -100,6 +100,7 @@ class Evidence:
         used: by effect, how many of its parameters are told from doing nothing, where known.
         held_out: by effect refitted, the share that it leaves of the gap of runs that no fit has seen, 0 where these
             show none.
+        steady: by effect that varies where it need not (`ljjax.effects.varying`), the share left where it does not.
     """
 
     excess: float
@@ -112,6 +113,7 @@ class Evidence:
     flexible: Mapping[str, float] = field(default_factory=dict)
     used: Mapping[str, int] = field(default_factory=dict)
     held_out: Mapping[str, float] = field(default_factory=dict)
+    steady: Mapping[str, float] = field(default_factory=dict)
 
 
 def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
@@ -127,7 +129,7 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
         out["unlisted_effect"], none = none, 0.0
     right, other = ("no_gap", "parameters_only") if e.as_given else ("parameters_only", "no_gap")
     out[right], out[other] = (1 - ASIDE) * none, ASIDE * none
-    blur = 0.004 + 8 * e.unit
+    blur = blurred(0.0, e.unit)
     least = min([0.0, *e.left.values()])  # what is left is told from the best: the noise is known to `FLOOR` only
     share = {}
     for i, left in e.left.items():
@@ -135,9 +137,7 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
         share[i] = max(_carried(left - least + blur, elsewhere), min(e.held_out.get(i, 0.0), 1.0) - KEPT)
     used = {i: e.used.get(i, e.parameters[i]) for i in share}
     weight = {
-        i: by.simpler ** -used[i]
-        * (x + 2 * e.unit * e.parameters[i]) ** -by.sharpness
-        * max(1 - x, 0.0)  # a cause that leaves nearly all is none
+        i: worth(x + 2 * e.unit * e.parameters[i], used[i], by) * max(1 - x, 0.0)  # what leaves nearly all is no cause
         for i, x in share.items()
     }
     best = main_of(weight, list(weight)) if weight else None
@@ -159,10 +159,21 @@ def probabilities(e: Evidence, by: Weights = WEIGHTS) -> dict[str, float]:
     return out
 
 
+def worth(share: float, used: int, by: Weights = WEIGHTS) -> float:
+    """Of what leaves such a share of the gap and uses so many parameters, up to a factor that all candidates have."""
+    return by.simpler**-used * share**-by.sharpness
+
+
+def blurred(share: float, unit: float) -> float:
+    """A share of the gap and what nobody can tell from nothing."""
+    return share + 0.004 + 8 * unit
+
+
 def _outside(e: Evidence, least: float, by: Weights) -> float:
     """The share that the best listed effect is taken to leave of one outside the library: more where that is far ahead
     of all others but those that do what it does, as a stand-in is not unless it is one of `MIMICS`; in full where it
-    leaves half of what would make it so."""
+    leaves half of what would make it so. One that varies is as far ahead as it is where it does not: the others may
+    not vary, or not as much."""
     left = {i: min(x - least, 1.0) for i, x in e.left.items()}
     if not left:
         return by.leaves
@@ -171,7 +182,8 @@ def _outside(e: Evidence, least: float, by: Weights) -> float:
         return by.leaves
     like = next((group for group in SAME if best in group), {best})
     second = min((x for i, x in left.items() if i not in like), default=1.0)
-    far = max(2 - 2 * left[best] / (by.ahead * second), 0.0) if second > 0 else 0.0
+    own = min(e.steady.get(best, e.left[best]) - least, 1.0)
+    far = max(2 - 2 * own / (by.ahead * second), 0.0) if second > 0 else 0.0
     return by.leaves + min(far, 1.0) * max(by.ahead * second - by.leaves, 0.0)
 
 

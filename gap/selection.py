@@ -91,6 +91,7 @@ class Selection:
     Attributes:
         study, base, given, screen, measured, seed: what it was given (see `ljjax.gap.inquiry.Inquiry`).
         floor, excess: of the base's loss, the noise's part and the rest.
+        steady: of single effects that vary, those found before they did (`ljjax.gap.variation.Variation`).
         found: the candidates refitted.
     """
 
@@ -263,6 +264,7 @@ class Selection:
         variation = Variation(self.study, self.base, self.screen, self.left, self.gap)
         if self.excess > judge.OPEN * self.floor:
             variation.let(left)
+        self.steady = variation.steady
         found = Found(left, {}, min(left.values(), key=self.left))
         unit = self.unit_of(found.best)
         matters = self.excess > judge.MATTERS * self.floor  # else none is named, whatever several would explain
@@ -418,9 +420,9 @@ class Selection:
             for r in rivals:
                 key = tuple(sorted(r.ids))
                 found.joint[key] = min(found.joint[key], r, key=lambda x: x.total)
-        least = max(min(self.left(r) for r in rivals), 0.0)
-        near = [r for r in rivals if self.left(r) <= judge.as_little(least, unit)]
-        found.best = min(near, key=lambda r: (sum(r.used.values()), r.trial.size, self.left(r)))
+        least = min(0.0, *(self.left(r) for r in rivals))
+        worth = [judge.worth(judge.blurred(self.left(r) - least, unit), sum(r.used.values())) for r in rivals]
+        found.best = rivals[int(np.argmax(worth))]
 
     def _finish(self) -> None:
         """What was found taken to its end; of single effects those that come near the best too. What a refit leaves

@@ -74,6 +74,7 @@ class Variation:
         left: the share of the gap that a refit leaves.
         gap: the loss that such shares are of.
         plain: of effects that stay varying, those found before they were free to vary with what acts on them too.
+        steady: of effects that vary, those found before they were free to vary at all; the base of those not found.
     """
 
     study: Study
@@ -82,16 +83,19 @@ class Variation:
     left: Callable[[Refit], float]
     gap: float
     plain: dict[str, Refit] = field(default_factory=dict)
+    steady: dict[str, Refit] = field(default_factory=dict)
 
     def let(self, single: dict[str, Refit]) -> None:
         """The best effects once more, free to vary in strength with what acts on them, where they leave much: a true
         cause seldom has the library's form. Those that then leave notably less stay so, if they also leave less of
         conditions left out: what varies much carries over badly. Then those that may be others in each run."""
+        before = dict(single)
         if self._least(single) > VARIED:
             self._with_what_acts(single)
         least = self._least(single)
         if least > TOLD:
             self._by_run(single, np.inf if least > FURTHER else MOUNTED * least)
+        self.steady = {i: before.get(i, self.base) for i, r in single.items() if r is not before.get(i)}
 
     def _with_what_acts(self, single: dict[str, Refit]) -> None:
         """Those that come near the best with what acts on them; where much is left, others so, or from a moment on."""

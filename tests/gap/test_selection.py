@@ -249,17 +249,25 @@ def test_a_further_effect_whose_first_step_leads_astray_is_begun_again_with_care
     assert min(more, key=selection.left).trial is again
 
 
-@pytest.mark.parametrize("anew, best", [(0.05, "actuator_delay"), (0.3, "actuator_lag")])
-def test_an_effect_tried_beside_another_before_is_begun_anew_where_that_one_is_known(anew, best):
+@pytest.mark.parametrize(
+    "known, anew, uses, best",
+    [
+        (0.12, 0.05, 1, "actuator_delay"),
+        (0.12, 0.3, 1, "actuator_lag"),
+        (0.005, 0.001, 2, "actuator_delay"),  # by less: a parameter more is worth that
+        (0.002, 0.001, 4, "actuator_lag"),  # hardly: two of each are not
+    ],
+)
+def test_an_effect_tried_beside_another_before_is_begun_anew_where_that_one_is_known(known, anew, uses, best):
     """A tilt leaves less with a lag than with a delay as that was begun at first."""
 
     def refitted(ids: tuple[str, ...], left: float) -> Any:
-        used = dict.fromkeys(ids, 1)
+        used = dict.fromkeys(ids, uses if delay in ids else 1)
         more: Any = {"used": used, "trial": Trial(ids), "scatter": NO_SCATTER}
         return SimpleNamespace(ids=ids, total=100 + 900 * left, model=ids, **more)
 
     tilt, lag, delay = "base_tilt", "actuator_lag", "actuator_delay"
-    pair = refitted((lag, tilt), 0.12)
+    pair = refitted((lag, tilt), known)
     found = Found({i: refitted((i,), 0.5) for i in (tilt, lag)}, {}, pair)
     found.joint = {(lag, tilt): pair, (delay, tilt): refitted((delay, tilt), 0.2)}
     asked: list[tuple[str, ...]] = []
