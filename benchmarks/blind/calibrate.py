@@ -1,9 +1,9 @@
 """The weights of `ljjax.gap.judge` from cases whose labels are open: `python -m benchmarks.blind.calibrate FOLDER…`.
 
 Takes the evidence that every answer holds and the right answer from every label, adds them to `calibration.json` here
-(robots that have been scored before; of an earlier diagnosis none), and finds the weights under which the right answers
-are most probable. What those weights are worth on cases they were not fitted to is told by leaving out a fifth of the
-cases at a time.
+(robots that have been scored before, each by the diagnosis of its day), and finds the weights under which the right
+answers are most probable. What those weights are worth on cases they were not fitted to is told by leaving out a fifth
+of the cases at a time.
 """
 
 from __future__ import annotations
