@@ -145,23 +145,25 @@ class Inquiry:
         self.evidence = self._evidence()
         self.probability = judge.probabilities(self.evidence)
         best = self._best()
-        alike = self._alike(best.ids)
+        alike = self._alike(best.ids, {})
         self.verdict = judge.verdict(self.probability, {*best.ids, *(i for group in alike for i in group)})
         listed = self.verdict == "listed_effect"
         if listed and not best.estimate.converged:
             (best,) = study.polished([best])
-        self.chosen, self.equivalent = (best, alike) if listed else (self.base, [])
+        self.chosen = best if listed else self.base
+        self.equivalent = self._alike(best.ids, self.probability) if listed else []
 
     def _best(self) -> Refit:
         """What was found; of effects that explain the runs alone, the most probable."""
         best, single = self.found.best, self.found.single
         return best if len(best.ids) > 1 else single[judge.main_of(self.probability, list(single))]
 
-    def _alike(self, ids: Sequence[str]) -> list[list[str]]:
-        """For each of the effects found that has any, itself and those that cannot be told from it."""
+    def _alike(self, ids: Sequence[str], odds: Mapping[str, float]) -> list[list[str]]:
+        """For each of the effects found that has any, itself and those that cannot be told from it, by what they leave
+        and, of one effect, by their odds."""
         found, unit = self.found, self.evidence.unit
         if len(ids) == 1:
-            groups = [judge.equivalents({i: self.evidence.left[i] for i in found.single}, ids[0], unit)]
+            groups = [judge.equivalents({i: self.evidence.left[i] for i in found.single}, ids[0], unit, odds)]
         else:
             least = {i: self.left(found.best) for i in ids}
             others = {i: {new: self.left(r) for out, new, r in found.exchanged if out == i} for i in ids}

@@ -79,8 +79,9 @@ KEPT = 0.1
 were named rightly 75 kept less, and none more than 0.19."""
 NEARLY_NONE = 0.25
 """The share of what one effect leaves that a further one leaves at most, where it takes little of the gap."""
-ALIKE = 1.25
-"""Candidates whose leftovers are within this factor cannot be told apart."""
+ALIKE, TELLS = 1.25, 10.0
+"""Candidates whose leftovers are within this factor cannot be told apart, nor those whose odds are: below ten to one
+evidence is not called strong (Jeffreys)."""
 
 
 @dataclass(frozen=True)
@@ -210,10 +211,12 @@ def verdict(probability: Mapping[str, float], named: Collection[str]) -> str:
     return "listed_effect" if sum(probability[i] for i in named) > most else name
 
 
-def equivalents(left: Mapping[str, float], main: str, unit: float) -> list[str]:
-    """The candidates that leave no more than chance and `ALIKE` above what the main one leaves; itself first."""
-    least = max(left[main], 0.0)
-    near = [i for i, x in left.items() if i != main and max(x, 0.0) <= as_little(least, unit)]
+def equivalents(left: Mapping[str, float], main: str, unit: float, odds: Mapping[str, float] | None = None) -> list[str]:
+    """The candidates that leave no more than chance and `ALIKE` above what the main one leaves, or where odds are
+    given, all against the same, have a tenth of its own; itself first."""
+    least, odds = max(left[main], 0.0), odds or {}
+    near = {i for i, x in left.items() if i != main and max(x, 0.0) <= as_little(least, unit)}
+    near |= {i for i in left if i != main and TELLS * odds.get(i, 0.0) >= odds.get(main, np.inf)}
     return [main, *sorted(near, key=lambda i: left[i])]
 
 

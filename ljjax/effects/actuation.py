@@ -166,7 +166,8 @@ class ActuatorLag(Effect):
     """The current or tension loop lags: τ Ṫ = T_cmd − T, and after it one of second order (loop, filter, springy
     tendon), of the time constants τ₂ (1 ± i r), which rings for r > 1. Where the loop's rate is limited τ goes with
     (|T_cmd − T|/5 N)^p, to a rate of its own for p = 1. A share s of the tension may come later, with a time constant
-    of c τ, as where flux diffuses into iron or a tendon creeps. Each tendon has a motor of its own: τ and τ₂ are 1 ± d
+    of c τ, as where flux diffuses into iron or a tendon creeps; and where the tension falls τ is 1 + f of it, as a
+    drive may let go more slowly than it winds. Each tendon has a motor of its own: τ and τ₂ are 1 ± d
     of theirs. Exact for commands that hold over a step."""
 
     id, block, axes = "actuator_lag", "actuation", ("rate", "load", "time")
@@ -177,6 +178,7 @@ class ActuatorLag(Effect):
     difference: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
     later: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.3, 0.0))
     later_by: jax.Array = shape("1", 8.0, 1.0, 100.0, (8.0,))
+    falling: jax.Array = shape("1", 0.0, -0.9, 10.0, (1.0, 0.0))
 
     def start(self, now):
         return now.u, now.u, tuple(0.0 * x for x in now.u), now.u
@@ -185,8 +187,9 @@ class ActuatorLag(Effect):
         means, kept = [], []
         shares = 1 + self.difference, 1 - self.difference
         for x, share, first, second, rate, slow in zip(u, shares, *memory, strict=True):
-            quick, end = pursued(x, first, share * self.tau_s, self.power, APART_N, now.h)
-            late, slow = lagged(x, slow, share * self.tau_s * self.later_by, now.h)
+            tau = share * self.tau_s * jnp.where(x < first, 1 + self.falling, 1.0)
+            quick, end = pursued(x, first, tau, self.power, APART_N, now.h)
+            late, slow = lagged(x, slow, tau * self.later_by, now.h)
             once = quick + self.later * (late - quick)
             mean, held, rate = ringing(once, second, rate, share * self.second_s, self.ring, now.h)
             means.append(mean)

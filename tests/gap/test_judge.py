@@ -196,6 +196,15 @@ def test_of_two_effects_one_begins_as_it_was_alone_the_other_cautiously():
         assert any(set(b) == {one, other} and b[one] == x and 0 < b[other] / y < 0.5 for b in begun)
 
 
+def test_what_data_cannot_tell_apart_leaves_as_little_or_has_a_tenth_of_the_odds():
+    left = {"contact": 0.02, "tip_payload": 0.04, "base_tilt": 0.06, "sensor_scale": 0.5}
+    odds = {"contact": 0.6, "tip_payload": 0.25, "base_tilt": 0.05, "sensor_scale": 1e-3}
+    assert judge.equivalents(left, "contact", 1e-5) == ["contact"]
+    assert judge.equivalents(left, "contact", 1e-5, odds) == ["contact", "tip_payload"]
+    assert judge.equivalents(left, "tip_payload", 1e-5, odds) == ["tip_payload", "contact", "base_tilt"]
+    assert judge.equivalents({**left, "base_tilt": 0.025}, "contact", 1e-5) == ["contact", "base_tilt"]
+
+
 def test_a_further_effect_of_little_of_the_gap_must_leave_nearly_nothing():
     worth = judge.pairs_worth
     assert worth(0.3, 0.1, 1e-4) and not worth(0.3, 0.15, 1e-4)  # most of what is left

@@ -353,6 +353,19 @@ def test_each_motor_may_lag_in_its_own_way():
     assert float(left) < 0.1 and float(right) == 4.0
 
 
+def test_tension_may_fall_more_slowly_than_it_rises():
+    """From 1 N to 4 N with a time constant of 0.1 s, back with one of 0.3 s."""
+    kind: Any = REGISTRY["actuator_lag"]
+    lag, now = kind(tau_s=0.1, falling=2.0), SimpleNamespace(h=jnp.asarray(1e-3))
+    low, high = jnp.asarray(1.0), jnp.asarray(4.0)
+    for begin, asked, tau in ((low, high, 0.1), (high, low, 0.3)):
+        memory = (begin, begin), (begin, begin), (0.0 * begin,) * 2, (begin, begin)
+        for _ in range(200):
+            (left, _), memory = lag.actuate(memory, (asked, asked), now)
+        expected = float(asked + (begin - asked) * np.exp(-0.2 / tau))
+        assert float(left) == pytest.approx(expected, rel=1e-2)
+
+
 def test_a_share_of_the_tension_may_come_later():
     """0.7 of 4 N with a time constant of 0.1 s, 0.3 of it with one of 0.8 s."""
     kind: Any = REGISTRY["actuator_lag"]
