@@ -338,7 +338,7 @@ class TendonFriction(Effect):
     """Friction along the routing: joint k feels T exp(∓(s₀ (ε + β|q_Σ|) + Σ_{j ≤ k} s_j (μ w_j |q_j| + ν))), less in
     the tendon pulled in, more in the one paid out, from the entry, from a liner that bends with the body, from bends
     (capstan), from guides; and a drag s₀ whatever the load. s_j is the way the tendon last slid past joint j, by
-    Σ_{k ≥ j} q_k; s₀ that of all of it. Each tendon has a channel of its own: ε ± δ_ε, μ ± δ_μ. A soft lining rubs by a
+    Σ_{k ≥ j} q_k and, for a share a, by Σ q_k, all of it, as s₀ is. Each tendon has a channel of its own: ε ± δ_ε, μ ± δ_μ. A soft lining rubs by a
     power of what presses it, an uneven one by its place: w_j = (T |q_j|/T₀ q₀)^(p − 1) (1 + g x_j), with T₀ = 10 N,
     q₀ = 0.1 rad, and x from 1 at the base to −1 at the tip. It turns round within some rotation, over which tendon and
     liner stretch, and, for a share h, with the tension: a cable that sticks hands on what it did, until what is lost on
@@ -358,6 +358,7 @@ class TendonFriction(Effect):
     power: jax.Array = shape("1", 1.0, 0.3, 2.0, (0.7, 1.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
     held: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0, 1.0))
+    as_one: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
 
     def start(self, now):
         still = tuple(0.0 * q for q in now.q)
@@ -396,8 +397,9 @@ class TendonFriction(Effect):
         each = zip((1, -1), memory[:2], self._lost(now), pull, memory[2], strict=True)
         for sense, ways, (entered, lost), new, old in each:
             more, mine = sense * (new - old), []
-            for i, (way, hold, slid) in enumerate(zip(ways, lost, beyond[::-1], strict=True)):
+            for i, (way, hold, own) in enumerate(zip(ways, lost, beyond[::-1], strict=True)):
                 hold = hold + entered if i == 0 else hold
+                slid = own + self.as_one * (beyond[-1] - own)
                 by_tension = jnp.clip(way + self.held * more / (jnp.abs(hold) + LEAST_HOLD), -1.0, 1.0)
                 mine.append(turned(by_tension, slid, self.turn_rad, self.still_rad_s * now.h))
                 more = more - hold * (mine[-1] - way)

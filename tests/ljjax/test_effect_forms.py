@@ -821,6 +821,20 @@ def test_a_cable_that_sticks_hands_on_its_tension_until_friction_can_hold_no_mor
         np.testing.assert_allclose(beyond, [first, min(10.0, first * np.exp(0.1))], rtol=1e-3)
 
 
+def test_a_tendon_slides_past_each_joint_by_what_is_beyond_it_or_as_one(robot):
+    """The first joint bends by 0.3 rad, the second back by 0.1: past the first the tendon is drawn in, past the second
+    it is paid out."""
+    kind: Any = REGISTRY["tendon_friction"]
+    model, zero = robot(2), jnp.zeros(())
+    about = {"model": model, "q": (zero, zero), "middle": (zero, zero), "h": jnp.asarray(1e-4)}
+    before: Any = SimpleNamespace(u=(jnp.asarray(9.0),) * 2, **about)
+    after: Any = SimpleNamespace(q=(jnp.asarray(0.3), jnp.asarray(-0.1)))
+    for as_one, second in ((0.0, -1.0), (1.0, 1.0)):
+        rubs = kind(mu=0.5, turn_rad=0.002, still_rad_s=1e-4, as_one=as_one)
+        pulled, paid_out, _ = rubs.remember(rubs.start(before), before, after)
+        np.testing.assert_allclose([pulled, paid_out], [[1.0, second]] * 2, atol=1e-3)
+
+
 def test_a_command_may_be_read_at_a_beat_and_held():
     """What is held is late by up to the beat, half of it on the mean."""
     kind: Any = REGISTRY["actuator_delay"]
