@@ -211,7 +211,9 @@ def verdict(probability: Mapping[str, float], named: Collection[str]) -> str:
     return "listed_effect" if sum(probability[i] for i in named) > most else name
 
 
-def equivalents(left: Mapping[str, float], main: str, unit: float, odds: Mapping[str, float] | None = None) -> list[str]:
+def equivalents(
+    left: Mapping[str, float], main: str, unit: float, odds: Mapping[str, float] | None = None
+) -> list[str]:
     """The candidates that leave no more than chance and `ALIKE` above what the main one leaves, or where odds are
     given, all against the same, have a tenth of its own; itself first."""
     least, odds = max(left[main], 0.0), odds or {}

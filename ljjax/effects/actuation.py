@@ -337,13 +337,13 @@ def _pull(now: Now) -> Vector:
 class TendonFriction(Effect):
     """Friction along the routing: joint k feels T exp(∓(s₀ (ε + β|q_Σ|) + Σ_{j ≤ k} s_j (μ w_j |q_j| + ν))), less in
     the tendon pulled in, more in the one paid out, from the entry, from a liner that bends with the body, from bends
-    (capstan), from guides; and a drag s₀ whatever the load. s_j is the way the tendon last slid past joint j, by
-    Σ_{k ≥ j} q_k and, for a share a, by Σ q_k, all of it, as s₀ is. Each tendon has a channel of its own: ε ± δ_ε, μ ± δ_μ. A soft lining rubs by a
-    power of what presses it, an uneven one by its place: w_j = (T |q_j|/T₀ q₀)^(p − 1) (1 + g x_j), with T₀ = 10 N,
-    q₀ = 0.1 rad, and x from 1 at the base to −1 at the tip. It turns round within some rotation, over which tendon and
-    liner stretch, and, for a share h, with the tension: a cable that sticks hands on what it did, until what is lost on
-    the way changes by no more than friction can hold, joint by joint, each tendon by itself. At rest it fades, in that
-    rotation over the rate that counts as rest."""
+    (capstan), from guides; and a drag s₀ whatever the load. s_j is the way the tendon last slid past joint j, by Σ_{k ≥
+    j} q_k and, for a share a, by Σ q_k, all of it, as s₀ is. Each tendon has a channel of its own: ε ± δ_ε, μ ± δ_μ. A
+    soft lining rubs by a power of what presses it, an uneven one by its place: w_j = (T |q_j|/T₀ q₀)^(p − 1) (1 + g
+    x_j), with T₀ = 10 N, q₀ = 0.1 rad, and x from 1 at the base to −1 at the tip. It turns round within some rotation,
+    over which tendon and liner stretch, and, for a share h, with the tension: a cable that sticks hands on what it did,
+    until what is lost on the way changes by no more than friction can hold, joint by joint, each tendon by itself. At
+    rest it fades, in that rotation over the rate that counts as rest."""
 
     id, block, axes = "tendon_friction", "actuation", ("direction", "angle", "load")
     mu: jax.Array = parameter("1/rad", 0.0, 0.0, 6.0, 0.2)

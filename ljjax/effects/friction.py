@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from ljjax.effect import Effect, parameter, shape
 from ljjax.effects.shapes import lagged, positive, power, towards_base, turned
 
-LOAD_N = 10.0
-"""Load at which a friction is the same by any power of it."""
+LOAD_N, RUBS_NM = 10.0, 10.0
+"""Load at which a friction is the same by any power of it, and φ at which it is whether it goes with φ or not."""
 BEND_RAD, EVEN_RAD = 0.1, 1e-4
 """Bend at which a tendon presses as much where it is bent as elsewhere, and below which that counts as even [rad]."""
 
@@ -46,8 +46,8 @@ class FrictionAsymmetry(Effect):
 class LoadDependentFriction(Effect):
     """Tendon load presses the layers: φ + (k N(u₁ + u₂) + k_d N(u₁ − u₂)) (1 + g x) (1 − b + b |q|/q₀), N(u) = |u|
     (|u|/u₀)^(p − 1), u₀ = 10 N; x from 1 at the base, where the loads of all joints add up, to −1 at the tip; a share b
-    presses where a tendon goes round a bend, q₀ = 0.1 rad. What is pressed together may come to N with a time constant,
-    and part with another."""
+    presses where a tendon goes round a bend, q₀ = 0.1 rad; and times 1 − s + s φ/φ₀, φ₀ = 10 N·m, where load and vacuum
+    press the same layers. What is pressed together may come to N with a time constant, and part with another."""
 
     id, block, axes = "load_dependent_friction", "friction", ("load", "direction", "angle")
     gain: jax.Array = parameter("N·m/N", 0.0, 0.0, 20.0, 0.1)
@@ -57,6 +57,7 @@ class LoadDependentFriction(Effect):
     bent: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     joins_s: jax.Array = shape("s", 0.0, 0.0, 60.0, (0.3, 0.0))
     parts_s: jax.Array = shape("s", 0.0, 0.0, 60.0, (2.0, 0.0))
+    of_layers: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
 
     def _presses(self, now):
         left, right = now.u
@@ -78,7 +79,8 @@ class LoadDependentFriction(Effect):
         more = self.gain * presses[0] + self.of_net * presses[1]
         bends = [1 - self.bent + self.bent * jnp.sqrt(q * q + EVEN_RAD**2) / BEND_RAD for q in now.q]
         along = towards_base(self.to_base, len(phi))
-        return tuple(p + more * s * b for p, s, b in zip(phi, along, bends, strict=True))
+        with_vacuum = [1 + self.of_layers * (p / RUBS_NM - 1) for p in phi]
+        return tuple(p + more * s * b * v for p, s, b, v in zip(phi, along, bends, with_vacuum, strict=True))
 
 
 SMALL = 1e-5

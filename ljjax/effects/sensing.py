@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import jax
+import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
 from ljjax.effects.shapes import along, lagged, ringing, sawtooth
@@ -17,7 +20,8 @@ INVERSE = 4
 class SensorScale(Effect):
     """The camera's scale is wrong, more so to one side where it looks from aside, and further out by its lens, with the
     angle or with the way off the axis: (1 + s + p b + r b² + l ψ²) y, b = y/0.15 rad, ψ the link's direction over
-    0.5 rad."""
+    0.5 rad. The picture may be wider than it is high, its pixels not square: a link at ψ then is seen at ψ′, tan ψ′ =
+    (1 + w) tan ψ."""
 
     id, block, axes = "sensor_scale", "sensing", ("everywhere", "angle")
     sudden = True
@@ -25,10 +29,11 @@ class SensorScale(Effect):
     aside: jax.Array = parameter("1", 0.0, -0.3, 0.3, 0.02)
     lens: jax.Array = parameter("1", 0.0, -0.3, 0.3, 0.02)
     off_axis: jax.Array = parameter("1", 0.0, -0.6, 1.5, 0.05)
+    wide: jax.Array = parameter("1", 0.0, -0.6, 1.5, 0.05)
 
     def sense(self, memory, y, now):
         out, psi = [], 0.0
-        for x in y:
+        for x in _widened(y, self.wide):
             b, psi = x / BEND_RAD, psi + x
             out.append((1 + self.error + (self.aside + self.lens * b) * b + self.off_axis * (psi / AXIS_RAD) ** 2) * x)
         return tuple(out), memory
@@ -45,7 +50,18 @@ class SensorScale(Effect):
                 q = q - wrong / (slope + self.off_axis * psi * (psi + 2 * q / AXIS_RAD))
             out.append(q)
             before = before + q
-        return tuple(out)
+        return tuple(_widened(out, -self.wide / (1 + self.wide)))
+
+
+def _widened(angles: Sequence[jax.Array], more: jax.Array) -> list[jax.Array]:
+    """Angles between links in a picture that is so much wider."""
+    out, psi, turned = [], 0.0, 0.0
+    for x in angles:
+        psi = psi + x
+        sine, before = jnp.sin(psi), turned
+        turned = jnp.arctan(more * sine * jnp.cos(psi) / (1 + more * sine * sine))
+        out.append(x + turned - before)
+    return out
 
 
 class SensorBias(Effect):

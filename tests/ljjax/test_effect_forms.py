@@ -359,7 +359,7 @@ def test_tension_may_fall_more_slowly_than_it_rises():
     lag, now = kind(tau_s=0.1, falling=2.0), SimpleNamespace(h=jnp.asarray(1e-3))
     low, high = jnp.asarray(1.0), jnp.asarray(4.0)
     for begin, asked, tau in ((low, high, 0.1), (high, low, 0.3)):
-        memory = (begin, begin), (begin, begin), (0.0 * begin,) * 2, (begin, begin)
+        memory, left = ((begin, begin), (begin, begin), (0.0 * begin,) * 2, (begin, begin)), begin
         for _ in range(200):
             (left, _), memory = lag.actuate(memory, (asked, asked), now)
         expected = float(asked + (begin - asked) * np.exp(-0.2 / tau))
@@ -393,6 +393,7 @@ def test_load_presses_by_a_power_of_it_more_towards_the_base_and_more_where_it_g
     np.testing.assert_allclose(along, [3.0, 2.0, 1.0], rtol=1e-5)  # 0.2 N·m/N of 10 N, and half as much again
     np.testing.assert_allclose(more(40.0, power=0.5, to_base=0.5), 2 * along, rtol=1e-5)
     np.testing.assert_allclose(more(10.0, bent=1.0), [0.0, 2.0, 4.0], atol=3e-3)
+    np.testing.assert_allclose(more(10.0, of_layers=1.0), 2.0 * 2.0 / 10.0, rtol=1e-5)  # at φ = 2 N·m
 
 
 NO_SLIP = (jnp.zeros(()),)
@@ -667,6 +668,16 @@ def test_a_lens_stretches_what_is_off_the_axis():
     (first, second), _ = lens.sense((), bent, now)
     np.testing.assert_allclose((first, second), (0.25 * (1 + 0.1 / 4), 0.25 * 1.1), rtol=1e-12)
     np.testing.assert_allclose(lens.unsense((first, second)), (0.25, 0.25), rtol=1e-9)
+
+
+def test_a_picture_may_be_wider_than_it_is_high():
+    """Links at 0.3 and 0.7 rad, as their ends are seen."""
+    wide = REGISTRY["sensor_scale"](**{"wide": 0.2})
+    bent, now = (jnp.asarray(0.3), jnp.asarray(0.4)), cast(Any, SimpleNamespace())
+    seen, _ = wide.sense((), bent, now)
+    expected = [np.arctan2(1.2 * np.sin(x), np.cos(x)) for x in (0.3, 0.7)]
+    np.testing.assert_allclose(np.cumsum(seen), expected, rtol=1e-12)
+    np.testing.assert_allclose(wide.unsense(seen), bent, rtol=1e-9)
 
 
 def test_one_supply_limits_what_both_drives_draw():
