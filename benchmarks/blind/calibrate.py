@@ -40,9 +40,16 @@ def gathered(folder: Path) -> list[dict[str, Any]]:
     return out
 
 
+def evidence(row: Row) -> Evidence:
+    """Of a case; what a refit leaves of runs that it cannot simulate, null in gap.json, is without bound."""
+    said = dict(row["evidence"])
+    said["held_out"] = {i: np.inf if x is None else x for i, x in said["held_out"].items()}
+    return Evidence(**said)
+
+
 def likely(rows: Sequence[Row], by: Weights) -> np.ndarray:
     """(N,) probability of the right answer of each case."""
-    stated = (probabilities(Evidence(**r["evidence"]), by) for r in rows)
+    stated = (probabilities(evidence(r), by) for r in rows)
     return np.array([sum(p.get(i, 0.0) for i in r["right"]) for r, p in zip(rows, stated, strict=True)])
 
 
@@ -66,7 +73,7 @@ def told(rows: Sequence[Row], by: Sequence[Weights]) -> dict[str, Any]:
     """Calibration of the first answers where case i is judged by the weights by[i]."""
     ranked = []
     for r, w in zip(rows, by, strict=True):
-        p = probabilities(Evidence(**r["evidence"]), w)
+        p = probabilities(evidence(r), w)
         top = max(p, key=lambda i: p[i])
         ranked.append({"top": [top], "stated": p[top], "top_right": top in r["right"], "brier": 0.0})
     found = scoring.calibration(ranked)
