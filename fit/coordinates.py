@@ -77,6 +77,9 @@ class Coordinates:
         self.bounds = {p: pair for p, pair in limits(like).items() if p in names}
         if "friction.sigma3" in names:
             self.bounds["friction.sigma3"] = 0.0, max(STEEPEST, float(like.friction.sigma3))
+        free = -np.inf, np.inf
+        self._ends = np.array([self.bounds.get(p, free) if p in about else free for p in names], float).reshape(-1, 2).T
+        self._within = np.array([self.ends(i, *pair) or free for i, pair in enumerate(self._ends.T)]).reshape(-1, 2).T
 
     def __len__(self) -> int:
         return len(self.names)
@@ -91,10 +94,22 @@ class Coordinates:
 
     def physical(self, x: np.ndarray) -> np.ndarray:
         """(k,) the free parameters at x, in their units."""
-        out = np.where(self._log, np.exp(np.where(self._log, x, 0.0)), x)
+        out = np.clip(np.where(self._log, np.exp(np.where(self._log, x, 0.0)), x), *self._ends)
         if self._built:
             out[self._index] = self._values(x[self._index])
         return out
+
+    def ends(self, i: int, low: float, high: float) -> tuple[float, float] | None:
+        """Where coordinate i is when its parameter is at its bounds; None for one that says more than a parameter."""
+        if i in self._index:
+            return None
+        if not self._log[i]:
+            return low, high
+        return (np.log(low) if low > 0 else -np.inf), (np.log(high) if high > 0 else -np.inf)
+
+    def within(self, x: np.ndarray) -> np.ndarray:
+        """(k,) x with what belongs to effects moved to its bounds, where it is beyond them."""
+        return np.clip(x, *self._within)
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """(k, k) ∂(parameters)/∂x."""
@@ -121,15 +136,13 @@ class Coordinates:
         return jax.tree.unflatten(self._form, new)
 
     def admissible(self, x: np.ndarray) -> bool:
-        """Whether the model at x is one; always, but where a set of parameters is frozen in part."""
+        """Whether the model at x is one but for what bounds its effects; always, but where a set of parameters is
+        frozen in part."""
         if not np.all(np.isfinite(x)):
             return False
         try:
             check(without_effects(self.numbers(x)), (0.0, self.pressure))
         except InputError:
-            return False
-        values = dict(zip(self.names, self.physical(x), strict=True))
-        if not all(low <= values[p] <= high for p, (low, high) in self.bounds.items() if p.startswith("effects.")):
             return False
         return set(GROUPS[2]) <= set(self.names) or float(passivity_margin(self.model(x))) >= -1e-9
 

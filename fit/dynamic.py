@@ -241,6 +241,7 @@ class Search:
             while True:
                 step = self._step(a, g, damping, limits)
                 step = step * self.problem.room(point.x, step)
+                step = self.problem.coordinates.within(point.x + step) - point.x
                 gain = float(2 * g @ step - step @ a @ step)
                 if gain <= max(done, self.how.share * chi2) * (1.0 if damping <= 1e-2 else 1e-3):
                     converged = True

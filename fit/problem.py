@@ -65,15 +65,21 @@ class Problem:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def limits(self, x: np.ndarray) -> list[tuple[np.ndarray, float, float]]:
-        """Bounded parameters at x (k,): their slope (k,), and how far they may fall and rise."""
+        """Bounded parameters at x (k,): their slope (k,), and how far they may fall and rise; of one that has a
+        coordinate of its own, that coordinate's."""
         c = self.coordinates
         bounds = {**c.bounds, **self.bounds}
         if not bounds:
             return []
         value, slope = c.physical(x), c.jacobian(x)
-        index = {name: c.names.index(name) for name in bounds if name in c.names}
-        ends = [(i, *(float(limit - value[i]) for limit in bounds[name])) for name, i in index.items()]
-        return [(slope[i], min(low, 0.0), max(high, 0.0)) for i, low, high in ends]
+        out = []
+        for name, pair in bounds.items():
+            if name in c.names:
+                i = c.names.index(name)
+                own = c.ends(i, *pair)
+                along, here, (low, high) = (slope[i], value[i], pair) if own is None else (np.eye(len(x))[i], x[i], own)
+                out.append((along, min(float(low - here), 0.0), max(float(high - here), 0.0)))
+        return out
 
     def room(self, x: np.ndarray, step: np.ndarray) -> float:
         """The share of a step (k,) from x (k,), which heeds `limits` to first order, that stays within the bounds."""

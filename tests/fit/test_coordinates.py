@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from ljjax import effects
 from ljjax.data import OCTROBOT
 from ljjax.fit.coordinates import Coordinates
+from ljjax.fit.problem import Problem
 from ljjax.model import Model, get, replace
 from ljjax.modelfile import load
 
@@ -51,3 +55,19 @@ def test_the_stribeck_exponent_stays_where_steps_resolve_it():
     assert Coordinates(robot(), ("friction.sigma3",), 40.0).bounds == {"friction.sigma3": (0.0, 4.0)}
     steep = replace(robot(), {"friction.sigma3": 6.0})
     assert Coordinates(steep, ("friction.sigma3",), 40.0).bounds["friction.sigma3"][1] == 6.0
+
+
+def test_an_effect_at_a_bound_can_go_everywhere_else():
+    """What is held at a bound is off it by rounding in most steps, which are as good as any."""
+    kind = effects.REGISTRY["load_dependent_friction"]
+    names = [f"effects.load_dependent_friction.{n}" for n in ("gain", "of_net", "power", "bent")]
+    like = dataclasses.replace(robot(), effects=(kind(gain=0.1, power=2.9),))
+    problem = Problem(Coordinates(like, names, 40.0), ())
+    c = problem.coordinates
+    below = c.within(c.start + np.array([0.1, -1e-17, 0.1, -1.0]))
+    np.testing.assert_array_equal(c.physical(below), [0.2, 0.0, 3.0, 0.0])
+    assert c.admissible(below)
+    slope, low, high = map(np.array, zip(*problem.limits(c.start), strict=True))
+    np.testing.assert_array_equal(slope, np.eye(4))
+    np.testing.assert_allclose(low, [-0.1, 0.0, np.log(0.2 / 2.9), 0.0])
+    np.testing.assert_allclose(high, [19.9, 20.0, np.log(3.0 / 2.9), 1.0])
