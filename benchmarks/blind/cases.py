@@ -25,9 +25,9 @@ ATTEMPTS = 3
 """Robots tried until one can show the gap asked for."""
 PAIRS, CONTROLS, WITHOUT = 12, 10, 10
 SMALL_SET = ("effects", "controls", "parameters", "unlisted", "effects", "mujoco")
-NEWEST = 5601
-"""The first seed whose robots come in the last shape of a cause too, and with what is outside the library from
-`OUTSIDE_BEFORE` on: those before are what they were."""
+NEWEST = (5601, 5901)
+"""The first seeds whose robots come in the last shape but one of a listed cause too, and in its last: those before are
+what they were. From the first on also with what is outside the library from `OUTSIDE_BEFORE` on."""
 OUTSIDE_BEFORE = 15
 HISTORY = ("layer_wear", "thermal_drift", "glue_failure")
 """What runs leave to later ones in every shape (others do in some: `judge.of_session`)."""
@@ -66,7 +66,7 @@ def catalogue(seed: int, kinds: tuple[str, ...] = KINDS, count: int | None = Non
     """
     rng = np.random.default_rng([seed, 0])
     ids = [cause.id for cause in LISTED]
-    outside = [cause.id for cause in UNLISTED[: None if seed >= NEWEST else OUTSIDE_BEFORE]]
+    outside = [cause.id for cause in UNLISTED[: None if seed >= NEWEST[0] else OUTSIDE_BEFORE]]
     drawn: dict[str, list[tuple[tuple[str, ...], str]]] = {
         "effects": _sized(rng, ids),
         "controls": [((), "")] * CONTROLS,
@@ -123,8 +123,8 @@ def on_purpose(what: str, number: int, seed: int) -> Case:
         raise ValueError(f"{what}: expected one cause, or two different ones that the library has")
     if sizes - {"small", "large"} or len(sizes) > 1 or (sizes and kind != "effects"):
         raise ValueError(f"{what}: a size is small or large, and only of one effect by itself")
-    last = any(shape == len(CAUSES[name].shapes) - 1 for name, shape in zip(names, shapes, strict=True))
-    own = ((seed + NEWEST * last) * 1000 + number) * 1000
+    first = NEWEST[0] if outside[0] else max(map(_since, names, shapes))
+    own = ((seed + first) * 1000 + number) * 1000
     while [_form(own, 0, place, name) for place, name in enumerate(names)] != shapes:
         own += 1
     return Case(f"case-{number:03d}", kind, names, (sizes or {"large"}).pop() if kind == "effects" else "", own)
@@ -224,10 +224,16 @@ def planted(case: Case, attempt: int) -> Planted:
     return robot, runs, causes, float(reached), float(asked)
 
 
+def _since(name: str, shape: int) -> int:
+    """The first seed whose robots come in this shape of a cause."""
+    late = shape + len(NEWEST) - len(CAUSES[name].shapes)
+    return NEWEST[late] if late >= 0 and CAUSES[name].block is not None else 0
+
+
 def _form(seed: int, attempt: int, place: int, name: str, mujoco: bool = False) -> int:
-    """Which of its shapes a case's cause takes. The last of a listed one is not MuJoCo's."""
-    count = len(CAUSES[name].shapes)
-    known = count - (CAUSES[name].block is not None and (mujoco or seed < NEWEST * 1000))
+    """Which of its shapes a case's cause takes. Those that came with `NEWEST` are not MuJoCo's."""
+    of = seed // (10**6 if seed >= 10**9 else 1000)  # made on purpose, or drawn
+    known = sum(_since(name, shape) <= (0 if mujoco else of) for shape in range(len(CAUSES[name].shapes)))
     return int(np.random.default_rng([seed, 3, attempt, place]).integers(known))
 
 

@@ -117,6 +117,11 @@ def _liners(rng: np.random.Generator, setting: Setting) -> list[float]:
     return list(rng.uniform(0.3, 1.7, JOINTS))
 
 
+def _lifted(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """The load [N] from which guides press on the layers."""
+    return [rng.uniform(0.2, 0.45) * setting.peak_n]
+
+
 def _peak(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [setting.peak_n]
 
@@ -147,6 +152,11 @@ def _tapered(rng: np.random.Generator, setting: Setting) -> list[float]:
     return _level(rng.choice([-1.0, 1.0]) * np.arange(JOINTS) ** rng.uniform(0.7, 1.5))
 
 
+def _alternating(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """Layers that overlap at every second joint."""
+    return _level(rng.choice([-1.0, 1.0]) * (-1.0) ** np.arange(JOINTS) * rng.uniform(0.6, 1.4, JOINTS))
+
+
 def _weak(rng: np.random.Generator, setting: Setting) -> list[float]:
     """One joint has given way."""
     x = np.zeros(JOINTS)
@@ -163,6 +173,11 @@ def _lump(rng: np.random.Generator, setting: Setting) -> list[float]:
     """All of the weight at the end of one of the middle links."""
     last = int(rng.integers(1, JOINTS - 1))
     return [1.5 * (i <= last) for i in range(JOINTS)]
+
+
+def _harness(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """As heavy along all of the body, and how far [m] to one side."""
+    return [*[1.0] * JOINTS, rng.choice([-1, 1]) * rng.uniform(0.004, 0.012)]
 
 
 def _payload(rng: np.random.Generator, setting: Setting) -> list[float]:
@@ -191,6 +206,12 @@ def _between_runs(rng: np.random.Generator, setting: Setting) -> list[float]:
 def _obstacle(rng: np.random.Generator, setting: Setting) -> list[float]:
     side = int(rng.integers(2))
     return [rng.uniform(0.45, 0.65) * setting.tip_m[side], (1.0, -1.0)[side]]
+
+
+def _tube(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """A wall to either side."""
+    where, side = _obstacle(rng, setting)
+    return [where, side, rng.uniform(0.45, 0.65) * setting.tip_m[int(side > 0)]]
 
 
 def _midway(rng: np.random.Generator, setting: Setting) -> list[float]:
@@ -285,6 +306,7 @@ LISTED = (
             Shape(0.1, 1, _liners, ("segment",)),
             Shape(0.05, 0.5, _none),
             Shape(0.05, 0.5, _between((800, 3000))),
+            Shape(0.05, 0.5, _between((0.2, 0.45)), ("rate",)),
         ),
     ),
     Cause(
@@ -295,6 +317,7 @@ LISTED = (
             Shape(2, 40, _between((10, 40)), ("time", "rate", "angle")),
             Shape(0.3, 6, _between((0.05, 0.3))),
             Shape(0.5, 8, _between((100, 400)), ("run", "time")),
+            Shape(0.1, 1.5, _none),
         ),
     ),
     Cause(
@@ -304,6 +327,7 @@ LISTED = (
             Shape(0.02, 0.5, _between((1.5, 4), (2, 8)), ("load",)),
             Shape(0.05, 0.5, _between((8, 20))),
             Shape(0.02, 0.5, _none),
+            Shape(0.02, 0.5, _between((150, 700))),
         ),
     ),
     Cause(
@@ -311,6 +335,7 @@ LISTED = (
         (
             *_alike(0.02, 0.3, _between((0.05, 0.3), (0, 6)), _none, _seed, _sides(0.2, 0.6), _between((0, 1))),
             Shape(0.02, 0.3, _seed, ("run",)),
+            Shape(0.02, 0.3, _between((2, 6), (2, 6), (0, 1))),
         ),
     ),
     Cause(
@@ -318,6 +343,7 @@ LISTED = (
         (
             *_alike(0.4, 5, _none, _none, _sides(0.2, 0.6), _between((0.8, 2.5)), _none),
             Shape(0.4, 5, _between((0.5, 3)), ("time",)),
+            Shape(0.4, 5, _none, ("direction",)),
         ),
     ),
     Cause(
@@ -326,12 +352,16 @@ LISTED = (
             *_alike(0.05, 0.5, _sides(-0.4, 0.4), _sides(0, 0), _none, _then(_sides(-0.4, 0.4), _between((4, 12)))),
             Shape(0.05, 0.5, _then(_sides(-0.4, 0.4), _between((2, 8))), ("time",)),
             Shape(0.05, 0.5, _climbed),
+            Shape(0.1, 0.6, _then(_sides(-0.4, 0.4), _between((4, 15)), _peak), ("time",)),
         ),
         signed=True,
     ),
     Cause(
         *("actuator_ripple", "actuation", ("angle", "load")),
-        _alike(0.3, 4, *[_ripple] * 4, _then(_ripple, _between((0.2, 0.45))), _ripple),
+        (
+            *_alike(0.3, 4, *[_ripple] * 4, _then(_ripple, _between((0.2, 0.45))), _ripple),
+            Shape(0.3, 4, _then(_ripple, _between((0.05, 0.3))), ("rate",)),
+        ),
     ),
     Cause(
         *("actuator_saturation", "actuation", ("load", "angle")),
@@ -341,6 +371,7 @@ LISTED = (
             Shape(0.4, 0.85, _peak),
             Shape(0.3, 0.8, _then(_peak, _between((0.05, 0.15))), ("rate",)),
             Shape(0.2, 0.8, _then(_peak, _between((0.2, 0.8)))),
+            Shape(0.3, 0.8, _then(_peak, _between((0.2, 1))), ("time", "direction")),
         ),
     ),
     Cause(
@@ -349,6 +380,7 @@ LISTED = (
             Shape(0.5, 6, _between((0.5, 2.2))),
             *_alike(0.3, 4, *[_between((0.4, 2.5))] * 4),
             Shape(0.15, 3, _between((0.25, 0.6))),
+            Shape(0.05, 4, _between((3, 8))),
         ),
     ),
     Cause(
@@ -360,6 +392,7 @@ LISTED = (
             Shape(1, 12, _between((0.2, 1)), ("rate",)),
             Shape(0.3, 0.95, _between((150, 500)), ("run",)),
             Shape(1, 10, _break, ("run",)),
+            Shape(0.3, 0.95, _between((2.5, 7))),
         ),
     ),
     Cause(
@@ -369,6 +402,7 @@ LISTED = (
             Shape(1, 8, _seed, ("run",)),
             Shape(1, 8, _none, ("run", "time")),
             Shape(1, 8, _between((3, 10)), ("time",)),
+            Shape(1, 8, _between((1, 4)), ("direction", "time")),
         ),
         signed=True,
     ),
@@ -379,6 +413,7 @@ LISTED = (
             *_alike(0.3, 1, _between((6, 12)), _between((5, 14))),
             Shape(0.2, 0.85, _none),
             Shape(3, 30, _none),
+            Shape(0.3, 1, _between((4, 10)), ("direction", "time")),
         ),
     ),
     Cause(
@@ -387,6 +422,7 @@ LISTED = (
             Shape(1, 8, _none),
             *_alike(0.3, 1, _between((1.5, 6)), _between((2, 7)), _between((5, 12)), _between((4, 12))),
             Shape(0.3, 1, _between((12, 22))),
+            Shape(0.3, 1, _between((0.03, 0.3))),
         ),
     ),
     Cause(
@@ -398,6 +434,7 @@ LISTED = (
             Shape(0.02, 0.3, _none, ("pressure",)),
             Shape(0.02, 0.3, _between((0.02, 0.06))),
             Shape(0.02, 0.3, _between((0.02, 0.06), (0.01, 0.04)), ("time", "rate")),
+            Shape(0.01, 0.3, _between((0.05, 0.2)), ("segment",)),
         ),
     ),
     Cause(
@@ -408,6 +445,7 @@ LISTED = (
             Shape(0.3, 0.9, _between((4, 12))),
             Shape(0.3, 0.9, _between((4, 15)), ("pressure",)),
             Shape(0.3, 0.9, _between((0.3, 1.5)), ("angle",)),
+            Shape(0.3, 0.9, _between((6, 18))),
         ),
     ),
     Cause(
@@ -416,6 +454,7 @@ LISTED = (
             *_alike(0.3, 6, _none, _between((0.5, 6)), _between((2, 10)), _between((0.5, 4), (3, 8))),
             Shape(0.3, 5, _between((0.5, 5), (0.08, 0.16)), ("angle",)),
             Shape(0.3, 6, _between((0.2, 0.8), (0.04, 0.1)), ("angle",)),
+            Shape(0.3, 6, _between((0.4, 4)), ("pressure",)),
         ),
     ),
     Cause(
@@ -426,6 +465,7 @@ LISTED = (
             Shape(0.1, 3, _none, ("angle",)),
             Shape(0.05, 1.5, _none, ("pressure",)),
             Shape(0.1, 3, _between((2, 8), (0.05, 0.2)), ("time",)),
+            Shape(3, 60, _none, ("segment",)),
         ),
     ),
     Cause(
@@ -436,6 +476,7 @@ LISTED = (
             Shape(2, 40, _between((0.06, 0.12))),
             Shape(0.5, 20, _between((0.28, 0.45))),
             Shape(3, 400, _lean),
+            Shape(0.3, 40, _between((0.05, 0.12)), ("segment",)),
         ),
     ),
     Cause(
@@ -446,6 +487,7 @@ LISTED = (
             Shape(0.01, 0.2, _curved),
             Shape(0.01, 0.25, _then(_curved, _between((60, 250))), ("run", "time")),
             Shape(0.01, 0.25, _then(_curved, _between((3, 12))), ("run", "time")),
+            Shape(0.01, 0.25, _then(_curved, _seed), ("run",)),
         ),
         signed=True,
     ),
@@ -457,6 +499,7 @@ LISTED = (
             Shape(0.1, 1.0, _between((60, 200)), ("run", "time")),
             Shape(0.1, 1.0, _break, ("run", "time")),
             Shape(0.1, 1.0, _none, ("direction", "load")),
+            Shape(0.05, 1.0, _none, ("segment",)),
         ),
         signed=True,
     ),
@@ -467,6 +510,7 @@ LISTED = (
             Shape(0.03, 0.4, _bracket, ("everywhere", "pressure")),
             Shape(0.03, 0.4, _then(_payload, _between_runs), ("run",)),
             Shape(0.03, 0.4, _hung, ("time",)),
+            Shape(0.03, 0.4, _then(_payload, _between((80, 400))), ("run", "time")),
         ),
     ),
     Cause(
@@ -476,6 +520,7 @@ LISTED = (
             Shape(0.5, 3, _lump, ("load",)),
             Shape(0.5, 3, _lump, ("rate",)),
             Shape(0.5, 3, _between((0.8, 2), (3.2, 5), (3, 12)), ("run", "time")),
+            Shape(0.5, 3, _harness, ("everywhere", "pressure")),
         ),
     ),
     Cause(
@@ -487,6 +532,7 @@ LISTED = (
             Shape(0.1, 0.7, _then(_uneven, _fixed(1, 1)), ("angle",)),
             Shape(0.1, 0.6, _then(_stepped, _fixed(1, 1))),
             Shape(0.1, 0.45, _then(_uneven, _between((3, 12))), ("run", "time")),
+            Shape(0.1, 0.6, _then(_alternating, _fixed(0, 1.6)), ("pressure",)),
         ),
     ),
     Cause(
@@ -497,6 +543,7 @@ LISTED = (
             Shape(100, 1e4, _then(_obstacle, _between((0.004, 0.015)))),
             Shape(100, 1e4, _midway, ("segment",)),
             Shape(100, 1e4, _then(_obstacle, _between((0.5, 4))), ("time", "rate")),
+            Shape(10, 1e4, _tube),
         ),
     ),
     Cause(
@@ -505,6 +552,7 @@ LISTED = (
             *_alike(0.1, 0.65, _none, _none, _none),
             Shape(0.1, 0.65, _none, ("angle",)),
             Shape(0.1, 0.65, _none, ("pressure",)),
+            Shape(0.1, 0.65, _none, ("rate",)),
         ),
         signed=True,
     ),
@@ -516,6 +564,7 @@ LISTED = (
             Shape(0.2, 4, _none, ("angle",)),
             Shape(0.2, 4, _none),
             Shape(0.2, 4, _between((1.5, 6)), ("time",)),
+            Shape(0.2, 4, _lifted),
         ),
     ),
     Cause(
@@ -525,6 +574,7 @@ LISTED = (
             Shape(0.2, 0.8, _between((1.5, 4))),
             *_alike(0.2, 2.5, _between((4, 12)), _between((4, 12))),
             Shape(0.2, 2.5, _between((40, 150))),
+            Shape(0.2, 2.5, _none, ("segment",)),
         ),
     ),
     Cause(
@@ -535,6 +585,7 @@ LISTED = (
             Shape(0.001, 0.05, _then(_markers, _knock), ("run", "time")),
             Shape(0.001, 0.05, _then(_markers, _seed), ("run",)),
             Shape(0.001, 0.05, _then(_markers, _between((20, 150))), ("run", "time")),
+            Shape(0.002, 0.08, _markers, ("time",)),
         ),
         signed=True,
     ),
@@ -545,6 +596,7 @@ LISTED = (
             Shape(0.02, 0.3, _none),
             *[Shape(0.02, most, _none, ("segment",)) for most in (0.22, 0.3)],
             Shape(0.02, 0.2, _seed, ("run",)),
+            Shape(0.02, 0.3, _between((60, 300)), ("run", "time")),
         ),
         signed=True,
     ),
@@ -553,9 +605,10 @@ LISTED = (
         (
             *_alike(0.02, 0.3, _between((0.05, 0.2), (0, 6)), _none, _between((1.5, 4), (0, 4)), _seed, _seed),
             Shape(0.02, 0.3, _between((0.2, 1))),
+            Shape(0.02, 0.3, _none, ("segment",)),
         ),
     ),
-    Cause("sensor_filter", "sensing", ("rate", "time", "direction"), _alike(0.05, 0.8, *[_none] * 6)),
+    Cause("sensor_filter", "sensing", ("rate", "time", "direction"), _alike(0.05, 0.8, *[_none] * 7)),
 )
 UNLISTED = (
     Cause("jammed_joint", None, (), _alike(0.5, 12, _joint)),

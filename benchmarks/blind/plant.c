@@ -47,10 +47,10 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             inertia[a][b] = inertia[b][a] = length[a] * (own * length[b] / 2 + beyond * length[b]);
         weight[b] = 9.81 * (own * length[b] / 2 + beyond * length[b]);
     }
-    double payload = f[TIP_PAYLOAD][0], arm[N];
+    double payload = f[TIP_PAYLOAD][0], arm[N], full = payload;
     if (form(f[TIP_PAYLOAD]) == 4 && session < f[TIP_PAYLOAD][4]) payload = 0; /* put on between two runs */
     for (int i = 0; i < N; i++) arm[i] = length[i] + (i == N - 1 ? f[TIP_PAYLOAD][1] : 0);
-    int hung = form(f[TIP_PAYLOAD]) == 5; /* on a thread */
+    int hung = form(f[TIP_PAYLOAD]) == 5, drips = form(f[TIP_PAYLOAD]) == 6; /* on a thread, or from a bottle */
     if (payload > 0 && !hung) {
         for (int a = 0; a < N; a++)
             for (int b = 0; b < N; b++) inertia[a][b] += payload * arm[a] * arm[b];
@@ -68,14 +68,17 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         if (form(f[TENDON_SLACK]) == 2) s.slack[i][0] = u[i] < 0.8 ? 1e-3 * f[TENDON_SLACK][0] : 0;
         for (int k = 0; k < N; k++) s.cable[k][i] = u[i];
         for (int k = 0; k < 4; k++) s.eddy[i][k] = u[i];
-        s.breakaway[i] = u[i] > f[ACTUATOR_DEADBAND][0];
+        s.breakaway[i] = form(f[ACTUATOR_DEADBAND]) == 6 ? u[i] : u[i] > f[ACTUATOR_DEADBAND][0];
+        if (form(f[TENDON_SLACK]) == 6) s.slack[i][0] = sqrt(u[i]);
     }
-    s.sheath = s.line = s.feed = s.fore = s.deep = vacuum[0];
+    s.sheath = s.line = s.feed = s.fore = s.deep = s.topped = s.packed = vacuum[0];
+    s.gauge = vacuum[0] - f[PRESSURE_BIAS][1];
     s.session = session;
     s.pressed = u[0] + u[1];
     if (form(f[THERMAL_DRIFT]) == 5) c->core = soaked(f[THERMAL_DRIFT], c->core, c->warm, session - c->ended);
     c->ended = session + count * period;
-    int settle = f[REST_CURVATURE][0] != 0 || f[BASE_TILT][0] != 0 || payload > 0;
+    int harness = form(f[GRAVITY_DISTRIBUTION]) == 6 && spread > 0;
+    int settle = f[REST_CURVATURE][0] != 0 || f[BASE_TILT][0] != 0 || payload > 0 || harness;
     actuate(f, &s, u, count, 0, period, 0, r->lever);
     double h = period / substeps, half = h / 2;
     long begin = settle ? -(long)(3.0 / h) : 0, all = (long)count * substeps;
@@ -86,7 +89,8 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         if (step == 0) {
             for (int i = 0; i < N; i++) {
                 s.v[i] = s.omega_mid[i] = s.z[i] = s.guide[i] = 0;
-                for (int k = 0; k < PLAYS; k++) s.play[i][k] = form(f[LAYER_HYSTERESIS]) % 3 == 0 ? s.q[i] : 0;
+                int held_there = form(f[LAYER_HYSTERESIS]) % 3 == 0 && form(f[LAYER_HYSTERESIS]) < 6;
+                for (int k = 0; k < PLAYS; k++) s.play[i][k] = held_there ? s.q[i] : 0;
                 if (form(f[LAYER_HYSTERESIS]) == 5) s.play[i][1] = 60;
                 for (int k = 0; k < 4; k++) s.branch[i][k] = s.q[i];
                 s.pendulum += s.q[i];
@@ -113,13 +117,21 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             pull[which] *= 1 - f[DERAILED_TENDON][0] * s.derailed;
         }
         double P = s.sheath, heat = (s.tension[0] + s.tension[1]) / 25 + 0.4;
+        if (drips && payload > 0) {
+            double less = payload - full * exp(-(session + fmax(t, 0)) / f[TIP_PAYLOAD][4]);
+            for (int a = 0; a < N; a++)
+                for (int b = 0; b < N; b++) inertia[a][b] -= less * arm[a] * arm[b];
+            inertia[N - 1][N - 1] -= 0.4 * less * f[TIP_PAYLOAD][3] * f[TIP_PAYLOAD][3];
+            payload -= less;
+        }
         if (!calm) {
             c->warm += h * (heat * 0.12 - c->warm / 260);
             c->felt += h * (c->warm - c->felt) / 4;
         }
 
         /* The pressure's laws. */
-        double stiff = stiffening(f[STIFFNESS_SATURATION], P), phi = rubbing(r, f[FRICTION_SATURATION], P), fresh = phi;
+        double stiff = stiffening(f[STIFFNESS_SATURATION], P, &s.packed);
+        double phi = rubbing(r, f[FRICTION_SATURATION], P), fresh = phi;
         double alpha2 = r->c3 + r->c2 * stiff + r->c1 * stiff * stiff, added = alpha2 - r->c3;
         if (form(f[THERMAL_DRIFT]) != 5) warmed(f[THERMAL_DRIFT], c->warm, &phi, &alpha2, &added);
         else warmed_inside(f[THERMAL_DRIFT], c, &phi, &alpha2, &added, calm ? 0 : h);
@@ -131,6 +143,10 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         const double *pressed = f[LOAD_DEPENDENT_FRICTION];
         if (pressed[0] > 0 && form(pressed) < 2) phi += pressed[0] * (form(pressed) ? load : pow(load + 1e-3, 0.75));
 
+        if (pressed[0] > 0 && form(pressed) == 6) { /* guides that stand off the layers until they are pulled in */
+            double over = load - pressed[1];
+            phi += pressed[0] * 0.5 * (over + hypot(over, 0.5));
+        }
         if (pressed[0] > 0 && form(pressed) == 5) { /* contacts that soon grow under load and slowly part */
             s.pressed += (load - s.pressed) * -expm1(-h / (load > s.pressed ? 0.3 : pressed[1]));
             phi += pressed[0] * s.pressed;
@@ -152,11 +168,13 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 a = stuck(t, &s.cable[i][0], a, s.q[i], -drawn), b = stuck(t, &s.cable[i][1], b, s.q[i], drawn);
             } else if (t[0] > 0) {
                 double still[1] = {0}, *guide = calm ? still : &s.guide[i];
-                double loss = rubbed(t, guide, s.q[i], calm ? 0 : r->lever * slide[form(t) == 1 ? 0 : i], h);
+                double passes = calm ? 0 : r->lever * slide[form(t) == 1 ? 0 : i];
+                double loss = rubbed(t, guide, &s.sliding[i], s.q[i], passes, h);
                 if (form(t) == 4 && i > 0) loss = 0;
                 switch (form(t)) {
                 case 0: a *= 1 - loss, b *= 1 + loss; break;
                 case 4:
+                case 6:
                 case 1: a *= exp(-loss), b *= exp(loss); break;
                 case 3: a *= 1 - lined(t, i, s.q[i], a) * loss, b *= 1 + lined(t, i, s.q[i], b) * loss; break;
                 default: a *= 1 - t[1] * loss, b *= 1 + t[2] * loss;
@@ -181,9 +199,14 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 free *= -expm1(-(session + fmax(t, 0)) / f[REST_CURVATURE][7]);
             if (form(f[REST_CURVATURE]) == 5) /* from the reel, worked out of it by bending */
                 free *= 0.15 + 0.85 * exp(-c->slip[i] / f[REST_CURVATURE][7]);
+            if (form(f[REST_CURVATURE]) == 6) /* straightened by hand before each run */
+                free *= 2 * chance(session + f[REST_CURVATURE][7]) - 0.5;
             double sprung = form(f[REST_CURVATURE]) == 2 ? r->c3 : of;
             torque[i] = of * q - sprung * free - r->lever * (left[i] - right[i]);
-            if (f[STIFFNESS_HARDENING][0] != 0) torque[i] += hardened(f[STIFFNESS_HARDENING], q, alpha2 / r->c3);
+            if (f[STIFFNESS_HARDENING][0] != 0) { /* of each joint, or of a hose through all of them */
+                double x = form(f[STIFFNESS_HARDENING]) == 6 ? bend / N : q;
+                torque[i] += hardened(f[STIFFNESS_HARDENING], x, alpha2 / r->c3);
+            }
             if (f[CONTACT][0] > 0 && form(f[CONTACT]) == 2) { /* an end stop in the joint */
                 double soft = 0.004, x = (f[CONTACT][2] * q - f[CONTACT][1]) / soft;
                 torque[i] += f[CONTACT][0] * f[CONTACT][2] * soft * (x > 30 ? x : log1p(exp(x)));
@@ -192,14 +215,16 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 torque[i] -= f[COLUMN_SOFTENING][0] * load * 0.2 * tanh(q / 0.2);
             if (f[SNAP_THROUGH][0] > 0)
                 torque[i] -= f[SNAP_THROUGH][0] * sin(f[SNAP_THROUGH][1] * q);
-            if (f[LAYER_HYSTERESIS][0] > 0 && !calm)
+            if (f[LAYER_HYSTERESIS][0] > 0 && !calm && form(f[LAYER_HYSTERESIS]) != 6)
                 torque[i] += f[LAYER_HYSTERESIS][0] * remembered(f[LAYER_HYSTERESIS], s.play[i], q, h * s.v[i], P, h);
             if (f[VISCOELASTIC_CREEP][0] > 0 && !calm)
-                torque[i] += f[VISCOELASTIC_CREEP][0] * crept(f[VISCOELASTIC_CREEP], s.branch[i], q, h);
+                torque[i] += f[VISCOELASTIC_CREEP][0] * crept(f[VISCOELASTIC_CREEP], s.branch[i], q, P, h);
             if (f[BASE_VIBRATION][0] > 0)
                 torque[i] -= f[BASE_VIBRATION][0] * (N - i) / N *
                              sin(TURN * f[BASE_VIBRATION][1] * (session + t) + f[BASE_VIBRATION][2]);
             phi_i[i] = phi;
+            if (form(f[THERMAL_DRIFT]) == 6) /* most of the warmth is near the motors */
+                phi_i[i] /= 1 + f[THERMAL_DRIFT][0] * c->warm / 10 * (1.8 - 0.32 * i);
             if (pressed[0] > 0 && form(pressed) == 4) phi_i[i] *= 1 + 0.06 * pressed[0] * load;
             if (pressed[0] > 0 && form(pressed) == 3) /* tendons press where they are bent */
                 phi_i[i] += pressed[0] * load * fabs(q) / 0.1;
@@ -212,6 +237,9 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 case 1: phi_i[i] *= 1 + f[LAYER_WEAR][0] * expm1(-slid); break;
                 case 3: phi_i[i] *= 1 - f[LAYER_WEAR][0] / (1 + pow(slid + 1e-6, -4)); break; /* a coat wears through */
                 case 4: phi_i[i] *= fmax(0.1, 1 - f[LAYER_WEAR][0] * slid); break;
+                case 6: /* they run in, then wear steadily */
+                    phi_i[i] *= fmax(0.1, 1 + f[LAYER_WEAR][0] * (0.45 * expm1(-6 * slid) - 0.55 * slid));
+                    break;
                 case 5: { /* a track, at the angles where it has slid */
                     int k = beneath(q, &x);
                     slid = ((1 - x) * c->track[i][k] + x * c->track[i][k + 1]) / f[LAYER_WEAR][1];
@@ -229,7 +257,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             }
             asymmetry[i] = 1;
             if (f[FRICTION_ASYMMETRY][0] != 0)
-                asymmetry[i] += lopsided(f[FRICTION_ASYMMETRY], &s.loading[i], q, s.v[i], P, calm ? 0 : h);
+                asymmetry[i] += lopsided(f[FRICTION_ASYMMETRY], s.loading[i], q, s.v[i], P, calm ? 0 : h);
             extra[i] = calm ? 0.3 : 0;
         }
         /* In absolute angles: gravity, Coriolis, contact. */
@@ -245,6 +273,8 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             s.rocker += (calm ? 0 : h) * moved * (tanh(6 * bend) - s.rocker);
             tilt = 0.55 * tilt + 0.45 * fabs(tilt) * s.rocker;
         }
+        double leaning = form(f[BASE_TILT]) == 6 ? tilt : 0; /* felt by every link's own weight */
+        if (form(f[BASE_TILT]) == 6) tilt = 0;
         double tipward = r->alpha1 * cosine;
         tipward *= sinp[N - 1] * cos(tilt) - cosp[N - 1] * sin(tilt) * (1 + uneven * sinp[N - 1]);
         int touched = form(f[CONTACT]) == 4 ? (int)f[CONTACT][3] : N - 1; /* the link that meets it */
@@ -256,7 +286,10 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             if (i == touched) met = aside, meets = swept;
         }
         double depth = f[CONTACT][2] * met - f[CONTACT][1], slip = f[CONTACT][2] * meets, push = 0;
-        if (f[CONTACT][0] > 0 && depth > 0) {
+        if (f[CONTACT][0] > 0 && form(f[CONTACT]) == 6) { /* a padded tube, with a wall to either side */
+            double other = fmax(0, -f[CONTACT][2] * met - f[CONTACT][3]), near = fmax(0, depth);
+            push = f[CONTACT][0] * (near * near - other * other) / 0.01;
+        } else if (f[CONTACT][0] > 0 && depth > 0) {
             if (form(f[CONTACT]) == 0) push = f[CONTACT][0] * depth * sqrt(depth) * clamp(1 + 3 * slip, 0, 3);
             if (form(f[CONTACT]) == 1) push = f[CONTACT][0] * depth;
             if (form(f[CONTACT]) == 4) push = f[CONTACT][0] * fmax(0, depth + 0.003 * slip);
@@ -305,6 +338,12 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 if (i == N - 1) around[i] += payload * 9.81 * f[TIP_PAYLOAD][2] * cosp[i];
                 around[i] += aback * arm[i] * cosp[i];
             }
+            if (leaning != 0) around[i] += weight[i] * (sin(psi[i] - leaning) - sinp[i]);
+            if (f[LAYER_HYSTERESIS][0] > 0 && form(f[LAYER_HYSTERESIS]) == 6 && !calm)
+                around[i] += f[LAYER_HYSTERESIS][0] *
+                             remembered(f[LAYER_HYSTERESIS], s.play[i], psi[i], h * rate[i], P, h);
+            if (harness) /* strapped along one side */
+                around[i] += spread * f[GRAVITY_DISTRIBUTION][7] * 9.81 * r->mass * (i < N - 1 ? 1 : 0.5) * cosp[i];
             if (lump[i] > 0) around[i] += lump[i] * 9.81 * length[i] * sinp[i];
             else if (spread > 0 && form(f[GRAVITY_DISTRIBUTION]) == 5)
                 around[i] += spread * 2.5 * r->mass * 9.81 * length[i] * clamp(collar - i, 0, 1) * sinp[i];
@@ -322,6 +361,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             before = now;
         }
         double drop = r->mu_s - r->mu_c, memory = r->sigma1 / half;
+        double bath = form(f[VISCOUS_DAMPING]) == 6 && !calm ? f[VISCOUS_DAMPING][0] * half : 0; /* as of the mass */
         for (int turn = 0; turn < 4; turn++) {
             double matrix[N][N], right_side[N], tau[N], d_tau[N], relative = 0, largest = 0, delta[N];
             for (int i = 0; i < N; i++) {
@@ -337,7 +377,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                     d_z[i] = half * (1 - slope * mid_z[i]) / scale;
                     tau[i] = torque[i] + phi_i[i] * ((1 + memory) * mid_z[i] - memory * s.z[i] + r->sigma2 * v);
                     d_tau[i] = phi_i[i] * ((1 + memory) * d_z[i] + r->sigma2);
-                    if (f[VISCOUS_DAMPING][0] > 0)
+                    if (f[VISCOUS_DAMPING][0] > 0 && form(f[VISCOUS_DAMPING]) != 6)
                         tau[i] += damped(f[VISCOUS_DAMPING], i, s.q[i], v, alpha2 / r->c3, s.sheared[i], &d_tau[i]);
                 }
                 relative += mid[i] - s.v[i];
@@ -348,6 +388,10 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 for (int j = 0; j < N; j++) {
                     matrix[i][j] = mass[i][j];
                     x += mass[i][j] * gain[j];
+                }
+                for (int j = 0; j < N && bath > 0; j++) { /* what it moves in drags on every link */
+                    matrix[i][j] += bath * mass[i][j];
+                    x += bath * mass[i][j] * (gain[j] + rate[j]);
                 }
                 right_side[i] = -x;
                 matrix[i][i] += d_tau[i] + (i + 1 < N ? d_tau[i + 1] : 0);

@@ -30,11 +30,12 @@ typedef struct {
     double q[N], v[N], z[N], omega_mid[N];
     double first[2], tension[2], surge[2], breakaway[2], hot[2], slack[2][2], guide[N], derailed; /* actuation */
     double line, feed, fore, deep, sheath, seal;                                                  /* pressure */
-    double play[N][PLAYS], branch[N][4], loading[N], pendulum, pendulum_rate, dragged;            /* structure */
+    double play[N][PLAYS], branch[N][4], loading[N][2], pendulum, pendulum_rate, dragged;         /* structure */
     double rocker, swing, swing_rate, dent, pump, asked[2], still[2];
     double sheared[N], pressed;                                                                   /* layers, grease */
     double session;
-    double cable[N][2], eddy[2][4], worked[2], surging; /* further ones of actuation and pressure */
+    double cable[N][2], eddy[2][4], worked[2], surging; /* further ones of actuation and pressure, and more of them */
+    double copper[2], slow_wave[2], topped, unfed, gauge, packed, sliding[N];
 } State;
 
 static double clamp(double x, double low, double high) { return x < low ? low : x > high ? high : x; }
@@ -63,6 +64,10 @@ static double given(const double *f, double session, double t, int i) {
     if (form(f) == 3) return t - late * f[1 + i] * (0.6 + fmin(t / 15, 1)); /* buffers of their own, slowly filling */
     if (form(f) == 4) return 2 * late * (floor(t / (2 * late) - f[1]) + f[1]); /* read at a slow beat, then held */
     if (form(f) == 5) return t - late * (0.25 + 1.5 * chance(session + f[1])); /* connected anew for each run */
+    if (form(f) == 6) { /* each drive's clock is a little slow, until it leaves out what has queued up */
+        double behind = (session + t) / f[1 + i] + f[3];
+        return t - late * (0.3 + 1.4 * (behind - floor(behind)));
+    }
     if (form(f) == 0) late *= 1 + 0.25 * sin(TURN * f[1] * t + f[2]);
     if (form(f) < 2) return t - late;
     double every = 0.7 * late, k = floor(t / every); /* packets, on their way for different times */
@@ -75,6 +80,10 @@ static double saturated(const double *f, double *hot, double x, double other, do
     if (form(f) == 3) return x / pow(1 + pow((x + other) / (1.6 * top), 8), 1 / 8.0); /* one supply for both drives */
     if (form(f) == 0) return x > top ? top + 0.04 * (x - top) : x;
     if (form(f) == 1) return x / pow(1 + pow(x / top, 6), 1 / 6.0);
+    if (form(f) == 6) { /* the loop winds up at the limit, and must unwind before it lets go */
+        *hot = clamp(*hot + h * (x - top) / f[2], 0, 0.6 * top);
+        return fmin(top, x + *hot);
+    }
     if (form(f) == 5) /* folds back: the more is asked beyond the limit, the less is given */
         return fmax(fmin(x, top - f[2] * (x - top)), fmin(x, 0.3 * top));
     if (form(f) == 4) { /* the faster it winds, the less the motor can pull; here its speed is kept */
@@ -87,6 +96,10 @@ static double saturated(const double *f, double *hot, double x, double other, do
 
 static double past_deadband(const double *f, double *breakaway, double *worked, double x, int i, double h) {
     double d = f[0];
+    if (form(f) == 6) { /* it stays where it is until it is asked to move by so much, then jumps there */
+        if (fabs(x - *breakaway) > d) *breakaway = x;
+        return *breakaway;
+    }
     if (form(f) == 5) { /* grease that thins while it is worked, and sets again at rest */
         *worked += h * (x > d ? (1 - *worked) / f[1] : -*worked / (2 * f[1]));
         return fmax(0, x - d * (1 - 0.75 * *worked));
@@ -100,8 +113,8 @@ static double past_deadband(const double *f, double *breakaway, double *worked, 
     return *breakaway ? x - 0.75 * d : 0;
 }
 
-/* Tension after the current loop; s->tension is its state. */
-static double lagged(const double *f, State *s, double x, int i, double h) {
+/* Tension after the current loop; s->tension is its state; rate: at which the body gives in to this tendon [m/s]. */
+static double lagged(const double *f, State *s, double x, int i, double rate, double h) {
     double slow = f[0], quick = 0.35 * slow;
     if (form(f) == 0) {
         s->first[i] += (x - s->first[i]) * -expm1(-h / quick);
@@ -116,6 +129,8 @@ static double lagged(const double *f, State *s, double x, int i, double h) {
         }
         return sum;
     }
+    if (form(f) == 6) /* on an elastic cable, from which the body takes what the loop has not wound yet */
+        return fmax(0, s->tension[i] + (x - s->tension[i]) * -expm1(-h / slow) - h * f[1] * rate);
     if (form(f) == 4) /* so many newtons a second and no more */
         return s->tension[i] + clamp(x - s->tension[i], -h * f[1] / slow, h * f[1] / slow);
     if (form(f) == 3) /* a slack cable is soft, and a drive lets go more slowly than it winds */
@@ -151,9 +166,15 @@ static void actuate(const double f[][WIDTH], State *s, const double *u, int coun
         case 5: /* cable that climbs onto a second layer of itself */
             x /= 1 + 0.5 * f[ACTUATOR_GAIN][0] * (1 + tanh((wound - f[ACTUATOR_GAIN][1 + i]) / 5e-4));
             break;
+        case 6: { /* copper that its own current warms, at a given voltage */
+            double share = x / f[ACTUATOR_GAIN][4];
+            x /= fmax(0.3, 1 + 3 * e * s->copper[i]);
+            s->copper[i] += h * (share * share - s->copper[i]) / f[ACTUATOR_GAIN][3];
+            break;
+        }
         default: x /= fmax(0.3, 1 + f[ACTUATOR_GAIN][0] * wound / 0.02); /* the spool grows as it winds */
         }
-        if (f[ACTUATOR_LAG][0] > 0) x = s->tension[i] = lagged(f[ACTUATOR_LAG], s, x, i, h);
+        if (f[ACTUATOR_LAG][0] > 0) x = s->tension[i] = lagged(f[ACTUATOR_LAG], s, x, i, i ? -rate : rate, h);
         if (f[ACTUATOR_RIPPLE][0] != 0) {
             const double *p = f[ACTUATOR_RIPPLE];
             double angle = (wound + x / p[1]) / p[2], teeth = p[3];
@@ -166,7 +187,10 @@ static void actuate(const double f[][WIDTH], State *s, const double *u, int coun
                 x += p[0] * sin(teeth * angle + p[4 + i] + 0.8 * wave) * (1 + 0.7 * sin(angle + p[6 + i]));
             else if (form(p) == 4) /* a gear of two stages */
                 x += p[0] * (0.8 * wave + 0.6 * sin(p[8] * teeth * angle + p[6 + i]));
-            else if (form(p) == 5) /* narrow magnets far apart: a dip and a bump each, nothing between them */
+            else if (form(p) == 6) { /* of which the loop takes out what is slow */
+                s->slow_wave[i] = h > 0 ? s->slow_wave[i] + (wave - s->slow_wave[i]) * -expm1(-h / p[8]) : wave;
+                x += 1.3 * p[0] * (wave - s->slow_wave[i]);
+            } else if (form(p) == 5) /* narrow magnets far apart: a dip and a bump each, nothing between them */
                 x += 3.2 * p[0] * wave * exp(4 * (cos(teeth * angle + p[4 + i]) - 1));
             else
                 x *= 1 + p[0] / 10 * (1.5 * (fabs(wave) - 0.64) + 0.5 * sin(angle + p[6 + i]));
@@ -183,10 +207,15 @@ static void actuate(const double f[][WIDTH], State *s, const double *u, int coun
 }
 
 /* What reaches the first guide: a pair of plays side by side, one play, cable that a released spool has paid out,
-   cable that the body has let go by bending this way faster than the spool winds, or a play with round corners; rate:
-   of that bending [m/s]; since: the session began [s]. */
+   cable that the body has let go by bending this way faster than the spool winds, a play with round corners, or a play
+   in the length of a cable that is the stiffer the tauter it is; rate: of that bending [m/s]; since: the session began
+   [s]. */
 static double past_slack(const double *f, double state[2], double x, double rate, double since, double h) {
     if (f[0] <= 0) return x;
+    if (form(f) == 6) {
+        state[0] = clamp(state[0], sqrt(x) - f[0], sqrt(x) + f[0]);
+        return state[0] > 0 ? state[0] * state[0] : 0;
+    }
     if (form(f) == 4) {
         double by = x - state[1], near = state[0] + f[1] * by;
         state[1] = x;
@@ -227,6 +256,7 @@ static double filled(const double *f, State *s, double inside, double h) {
         return s->surging = 0;
     }
     if (form(f) == 4) return s->sheath + clamp(drop, -20 * h / time, 20 * h / time); /* a pump of one speed */
+    if (form(f) == 6) time = f[0] * (0.15 + 2.5 * exp(-s->sheath / f[1])); /* a bag that is slack until most is out */
     if (form(f) == 3) time *= 0.15 + s->sheath / 15; /* layers pressed together close their own channels */
     if (form(f) != 2) return s->sheath + drop * -expm1(-h / time);
     s->feed += (inside - s->feed) * -expm1(-h / (0.5 * time));
@@ -251,6 +281,11 @@ static double leaked(const double *f, State *s, double p, double t, double h) {
         double a = f[0] * (0.5 + 0.5 * tanh((s->session + t - f[1]) / 0.2)), root = 0.5 * (sqrt(a * a + 4 * p) - a);
         return root * root;
     }
+    if (form(f) == 6) { /* shut off once it is pumped, and pumped up again every now and then */
+        s->unfed += h;
+        if (s->unfed > f[1] || fabs(p - s->topped) > 1) s->unfed = 0, s->topped = p;
+        return p * (1 - f[0] * s->unfed / f[1]);
+    }
     double bend = 0, open; /* folds open where it is bent, or a lip while it moves */
     for (int i = 0; i < N; i++) bend += form(f) == 3 ? fabs(s->v[i]) / N / 0.3 : s->q[i] * s->q[i] / N / 0.0144;
     open = bend / (1 + bend);
@@ -270,6 +305,10 @@ static void pressurise(const double f[][WIDTH], State *s, double commanded, doub
     case 3: inside += b * (0.2 + 1.6 * chance(s->session + f[PRESSURE_BIAS][1])); break; /* zeroed anew for each run */
     case 4: inside += b * (s->session + t) / 600; break; /* it drifts */
     case 5: inside += b * exp(-t / f[PRESSURE_BIAS][1]); break; /* a gauge switched on for each run */
+    case 6: /* a gauge set on the way up, and off on the way down */
+        s->gauge = clamp(s->gauge, commanded - f[PRESSURE_BIAS][1], commanded + f[PRESSURE_BIAS][1]);
+        inside += b * (0.5 + 0.5 * (s->gauge - commanded) / f[PRESSURE_BIAS][1]);
+        break;
     default: inside += b * (1 - exp(-commanded / 4));
     }
     if (f[PUMP_PULSES][0] > 0) /* that a damped gauge does not show */

@@ -25,7 +25,7 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
     t = np.arange(len(q)) * PERIOD_S
     at = t[::SHAPE_EVERY]
     if (f := causes.get("sensor_filter")) and f[0] > 0:
-        q = (_averaged, _smoothed, _exposed, _calmed, _damped, _blurred)[form(f)](q, f[0])
+        q = (_averaged, _smoothed, _exposed, _calmed, _damped, _blurred, _tracked)[form(f)](q, f[0])
     if f := causes.get("sensor_delay"):
         late = f[0] * np.ones(len(at))
         if form(f) == 0:
@@ -39,7 +39,12 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
             late *= np.random.default_rng([int(f[1]), run]).gamma(4, 0.25, len(at))
         elif form(f) == 5:  # a thin link, on which pictures that change much queue up
             late *= 0.3 + 1.7 * _queued(motion.q, f[1])[::SHAPE_EVERY]
-        y = np.stack([np.interp(at - late, t, x) for x in q.T], axis=1)
+        if form(f) == 6:  # markers are read one after the other, from the base on
+            each = np.linspace(0.3, 1.7, motion.q.shape[1])
+            y = np.stack([np.interp(at - late * k, t, x) for k, x in zip(each, motion.q.T, strict=True)], axis=1)
+            y = y if columns > 1 else y.mean(axis=1, keepdims=True)
+        else:
+            y = np.stack([np.interp(at - late, t, x) for x in q.T], axis=1)
     else:
         y = q[::SHAPE_EVERY].copy()
     if f := causes.get("sensor_scale"):
@@ -54,6 +59,8 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
             y += np.diff(more, axis=1, prepend=0) if columns > 1 else more / 6
         elif form(f) == 5:  # set up at another distance for each run
             y *= 1 + f[0] * np.random.default_rng([int(f[1]), run]).normal()
+        elif form(f) == 6:  # a zoom that creeps
+            y *= 1 - f[0] * np.expm1(-(run * APART_S + at) / f[1])[:, None]
         else:
             y += f[0] * y * (1 - 0.1 * (y / 0.6) ** 2 * (form(f) == 0))
     if f := causes.get("sensor_bias"):
@@ -65,6 +72,8 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
         elif form(f) == 5:  # markers that creep on their glue, as the logarithm of time
             crept = np.log1p((run * APART_S + at) / f[7]) / np.log1p(8 * APART_S / f[7])
             y += f[0] * offsets * (0.2 + 0.8 * crept)[:, None]
+        elif form(f) == 6:  # gyroscopes, set to zero at the start of each run
+            y += f[0] * offsets * (at / at[-1])[:, None]
         else:
             y += f[0] * offsets * (np.cos(y) if form(f) == 0 else 1)
     if f := causes.get("edge_of_view"):  # the ends of the picture, where markers hardly get on
@@ -135,6 +144,17 @@ def _blurred(q: Array, seconds: float) -> Array:
     m = max(1, round(2 * seconds / PERIOD_S))
     weight = np.exp(-0.5 * (np.arange(-m, m + 1) * PERIOD_S / (0.5 * seconds)) ** 2)
     return _weighted(np.concatenate([q, np.repeat(q[-1:], m, axis=0)]), weight / weight.sum())[m:]
+
+
+def _tracked(q: Array, seconds: float) -> Array:
+    """A tracker that takes motion to be steady: no lag while it is, too far where it turns."""
+    x, rate, gain = q[0], np.zeros_like(q[0]), -np.expm1(-PERIOD_S / seconds)
+    out = np.empty_like(q)
+    for k, seen in enumerate(q):
+        x = x + rate
+        x, rate = x + (1 - (1 - gain) ** 2) * (seen - x), rate + gain**2 * (seen - x)
+        out[k] = x
+    return out
 
 
 def _queued(q: Array, seconds: float) -> Array:

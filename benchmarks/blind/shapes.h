@@ -1,8 +1,8 @@
 /* The shapes of causes in layers, structure and friction: each takes its cause's row f. See plant.c. */
 #include "plant.h"
 
-/* The pressures [kPa] that stiffness and friction go by. */
-static double stiffening(const double *f, double P) {
+/* The pressures [kPa] that stiffness and friction go by; packed: how far the layers have been pressed. */
+static double stiffening(const double *f, double P, double *packed) {
     double knee = f[0] * P / 20, x;
     if (f[0] <= 0) return P;
     switch (form(f)) {
@@ -11,6 +11,9 @@ static double stiffening(const double *f, double P) {
     case 2: return -20 / f[0] * expm1(-knee);
     case 3: x = P * P / (f[1] * f[1]); return (1 - f[0]) * P + f[0] * 25 * x / (1 + x);
     case 5: return 20 * pow(P / 20, 1 - f[0]); /* as a root */
+    case 7: /* once packed they stay packed until the vacuum is nearly gone */
+        *packed = clamp(*packed, P, 2.5 * P);
+        return (1 - f[0]) * P + f[0] * 20 * expm1(-*packed / f[1]) / expm1(-20 / f[1]);
     case 6: /* in proportion until they touch, then as soil is consolidated: by the logarithm */
         x = 20 / f[0];
         return (P < x ? P : x * (1 + log(P / x))) * (f[0] > 1 ? f[0] / (1 + log(f[0])) : 1);
@@ -27,6 +30,7 @@ static double rubbing(const Robot *r, const double *f, double P) {
     double met = P * P * P / (f[1] * f[1] * f[1]), usually = 8000 / (f[1] * f[1] * f[1]);
     if (form(f) == 3) other = (1 + usually) / usually * met / (1 + met); /* layers must meet first */
     if (form(f) == 4) other = fmin(P, f[1]) / fmin(20, f[1]); /* in proportion, up to a limit */
+    if (form(f) == 6) other = log1p(P / f[1]) / log1p(20 / f[1]); /* by the logarithm */
     if (form(f) == 5) /* beyond a peak the sheath's folds carry the load past the layers */
         other = P / 20 * (f[1] * f[1] + 400) / (f[1] * f[1] + P * P);
     return r->c4 + r->c5 * ((1 - f[0]) * usual + f[0] * sqrt(20) * other);
@@ -35,7 +39,7 @@ static double rubbing(const Robot *r, const double *f, double P) {
 /* Friction drops, or stiffness, or both, or one of them rises. */
 static void warmed(const double *f, double warm, double *phi, double *alpha2, double *added) {
     double x = warm / 10, share;
-    if (f[0] <= 0) return;
+    if (f[0] <= 0 || form(f) == 6) return;
     if (form(f) == 2) {
         x = 1 / (1 + exp((f[1] - warm) / 0.5)) - 1 / (1 + exp(f[1] / 0.5));
         share = 1 - 0.5 * f[0] * x;
@@ -80,6 +84,10 @@ static int beneath(double q, double *share) {
 static double remembered(const double *f, double play[PLAYS], double q, double dq, double P, double h) {
     static const double width[PLAYS] = {0.01, 0.03, 0.07, 0.14}, share[PLAYS] = {0.4, 0.28, 0.2, 0.12};
     double x = 0.25 * tanh(q / 0.25), sum = 0, *z = play, steep;
+    if (form(f) == 6) { /* springs that slip; q: what has slid past by here, from the clamp on */
+        *z = clamp(*z + dq / f[1], -1, 1);
+        return *z * (0.35 + P / 25);
+    }
     if (form(f) == 3) { /* springs that slip, the later the more they are pressed */
         for (int k = 0; k < PLAYS; k++) {
             double most = width[k] * (0.3 + P / 15);
@@ -113,7 +121,7 @@ static double remembered(const double *f, double play[PLAYS], double q, double d
     return 1.5 * *z * x / (1 + x) * (0.3 + sqrt(P / 20));
 }
 
-static double crept(const double *f, double branch[4], double q, double h) {
+static double crept(const double *f, double branch[4], double q, double P, double h) {
     static const double time[4] = {0.25, 1.2, 6, 30}, share[4] = {0.4, 0.3, 0.2, 0.1};
     double sum = 0, over = q - branch[0];
     if (form(f) == 0) {
@@ -122,6 +130,10 @@ static double crept(const double *f, double branch[4], double q, double h) {
             sum += share[k] * (q - branch[k]);
         }
         return sum;
+    }
+    if (form(f) == 6) { /* the harder it is pressed, the more slowly it flows */
+        branch[0] += over * -expm1(-h / (f[1] * (0.3 + P / 8)));
+        return q - branch[0];
     }
     if (form(f) == 3) { /* it comes back more slowly than it went */
         branch[0] += h * over / (f[1] * (over * q > 0 ? 1 : f[2]));
@@ -179,6 +191,7 @@ static double hardened(const double *f, double q, double share) {
     }
     if (form(f) == 5) return f[0] * q * q * q * (1 + f[1] * tanh(q / 0.03)); /* to one side more than to the other */
     double x = clamp(q / f[1], -6, 6);
+    if (form(f) == 6) return f[0] * f[1] * sign(q) * (expm1(fabs(x)) - fabs(x)); /* as soft tissue */
     return f[0] * share * f[1] * (sinh(x) - x);
 }
 
@@ -188,16 +201,24 @@ static double lopsided(const double *f, double *loading, double q, double v, dou
     if (form(f) == 1) return f[0] * tanh(q / 0.002) * tanh(v / 0.002);
     *loading += clamp(h * fabs(v) / 0.02, 0, 1) * (sign(q * v) - *loading);
     if (form(f) == 2) return f[0] * *loading;
+    if (form(f) == 5) { /* the more, the faster it slides */
+        loading[1] += (fabs(v) - loading[1]) * -expm1(-h / 0.01);
+        return 1.4 * f[0] * *loading * loading[1] / (loading[1] + 0.05);
+    }
     if (form(f) == 4) return 1.3 * f[0] * *loading * P / (P + 6); /* scales that catch where they are pressed */
     return 1.4 * f[0] * *loading * q * q / (q * q + 0.0009); /* the more, the more it is bent */
 }
 
-/* What a tendon loses on joint i, and what the other one gains: shares of tension. */
-static double rubbed(const double *f, double *guide, double q, double rate, double h) {
+/* What a tendon loses on joint i, and what the other one gains: shares of tension; sliding: how fast it has been. */
+static double rubbed(const double *f, double *guide, double *sliding, double q, double rate, double h) {
     double soft = 1e-4, wrap = fabs(q) + (form(f) == 0 ? f[1] : 0);
     *guide = (*guide + h * rate / soft) / (1 + h * fabs(rate) / soft);
     if (form(f) == 0) return f[0] * wrap * (*guide + 0.8 * rate);
     if (form(f) == 3) return *guide;
+    if (form(f) == 6) { /* on a polymer, by a power of the speed */
+        *sliding += (fabs(rate) - *sliding) * -expm1(-h / 0.02);
+        return f[0] * wrap * *guide * pow(*sliding / 0.02 + 1e-3, f[1]);
+    }
     if (form(f) == 4) return f[0] * *guide; /* in a bent sheath before the robot */
     return f[0] * wrap * *guide * (form(f) == 1 ? 1 : 1 + 0.8 * exp(-rate * rate / 1e-5));
 }

@@ -160,7 +160,7 @@ def test_every_shape_of_every_cause_changes_what_the_camera_sees_and_vanishes_at
         usual = angles(session, {})
         for name in ids:
             changes = set()
-            shapes = causes.CAUSES[name].shapes[: None if session == plant.session else -1]  # the last is the plant's
+            shapes = causes.CAUSES[name].shapes[: None if session == plant.session else -len(cases.NEWEST)]
             for form, shape in enumerate(shapes):
                 numbers = shape.numbers(np.random.default_rng(1), setting)
                 there = angles(session, {name: causes.row(form, shape.start, numbers)})
@@ -174,18 +174,21 @@ def test_every_shape_of_every_cause_changes_what_the_camera_sees_and_vanishes_at
 
 
 def test_robots_of_earlier_seeds_stay_what_they_were():
-    """The last shape of an effect, and the last causes outside the library, are of later seeds' robots."""
+    """The last shapes of an effect, and the last causes outside the library, are of later seeds' robots."""
 
     def forms(seed: int, mujoco: bool = False) -> set[int]:
         return {cases._form(seed * 1000 + k, 0, 0, "contact", mujoco) for k in range(200)}
 
-    last = len(causes.CAUSES["contact"].shapes) - 1
-    assert forms(cases.NEWEST) == {*range(last + 1)}
-    assert forms(cases.NEWEST - 1) == forms(cases.NEWEST, mujoco=True) == {*range(last)}
+    last, first = len(causes.CAUSES["contact"].shapes) - 1, cases.NEWEST[0]
+    for late, seed in enumerate(cases.NEWEST):
+        assert forms(seed) == {*range(last + late)}
+        assert forms(seed - 1) == {*range(last + late - 1)}
+        assert forms(seed, mujoco=True) == {*range(last - 1)}
     new = {cause.id for cause in causes.UNLISTED[cases.OUTSIDE_BEFORE :]}
-    for seed, some in ((cases.NEWEST - 1, set()), (cases.NEWEST, new)):
+    for seed, some in ((first - 1, set()), (first, new)):
         assert {c.causes[0] for c in cases.catalogue(seed, ("unlisted",))} & new == some
-    assert cases.on_purpose(f"contact:{last}", 0, 0).seed >= cases.NEWEST * 10**6
+    for late, seed in enumerate(cases.NEWEST):
+        assert cases.on_purpose(f"contact:{last - 1 + late}", 0, 0).seed // 10**6 == seed
 
 
 def test_a_robot_made_on_purpose_has_the_causes_and_shapes_asked_for(monkeypatch):
