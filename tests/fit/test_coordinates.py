@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,7 +60,7 @@ def test_the_stribeck_exponent_stays_where_steps_resolve_it():
 
 def test_an_effect_at_a_bound_can_go_everywhere_else():
     """What is held at a bound is off it by rounding in most steps, which are as good as any."""
-    kind = effects.REGISTRY["load_dependent_friction"]
+    kind: Any = effects.REGISTRY["load_dependent_friction"]
     names = [f"effects.load_dependent_friction.{n}" for n in ("gain", "of_net", "power", "bent")]
     like = dataclasses.replace(robot(), effects=(kind(gain=0.1, power=2.9),))
     problem = Problem(Coordinates(like, names, 40.0), ())
