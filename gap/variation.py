@@ -88,12 +88,13 @@ class Variation:
     def let(self, single: dict[str, Refit]) -> None:
         """The best effects once more, free to vary in strength with what acts on them, where they leave much: a true
         cause seldom has the library's form. Those that then leave notably less stay so, if they also leave less of
-        conditions left out: what varies much carries over badly. Then those that may be others in each run."""
+        conditions left out: what varies much carries over badly. Then those that may be others in each run, which one
+        that begins at a moment can stand in for."""
         before = dict(single)
         if self._least(single) > VARIED:
             self._with_what_acts(single)
-        least = self._least(single)
-        if least > TOLD:
+        least, best = self._least(single), min(single.values(), key=self.left)
+        if least > TOLD or any(p.endswith(".by_onset") for p in best.free_effects):
             self._by_run(single, np.inf if least > FURTHER else MOUNTED * least)
         self.steady = {i: before.get(i, self.base) for i, r in single.items() if r is not before.get(i)}
 
