@@ -332,7 +332,7 @@ def test_of_many_trials_those_that_fall_behind_go_no_further():
 )
 def test_leaders_that_leave_much_may_vary(alone, varied, vary):
     def refitted(effect: str, left: float) -> Any:
-        return SimpleNamespace(ids=(effect,), total=100 + 900 * left)
+        return SimpleNamespace(ids=(effect,), total=100 + 900 * left, free_effects={})
 
     asked: list[str] = []
 
