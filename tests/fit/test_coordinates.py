@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ import pytest
 from ljjax import effects
 from ljjax.data import OCTROBOT
 from ljjax.fit.coordinates import Coordinates
-from ljjax.fit.problem import Problem
+from ljjax.fit.dynamic import Search, _Point
+from ljjax.fit.problem import Problem, Round
 from ljjax.model import Model, get, replace
 from ljjax.modelfile import load
 
@@ -72,3 +74,32 @@ def test_an_effect_at_a_bound_can_go_everywhere_else():
     np.testing.assert_array_equal(slope, np.eye(4))
     np.testing.assert_allclose(low, [-0.1, 0.0, np.log(0.2 / 2.9), 0.0])
     np.testing.assert_allclose(high, [19.9, 20.0, np.log(3.0 / 2.9), 1.0])
+
+
+def test_a_search_goes_on_with_what_is_held_at_its_bounds():
+    """Of data that go with an effect's parameters, three of which would have to be beyond where they may be."""
+    kind: Any = effects.REGISTRY["load_dependent_friction"]
+    names = [f"effects.load_dependent_friction.{n}" for n in ("gain", "of_net", "bent", "joins_s", "parts_s")]
+    like = dataclasses.replace(robot(), effects=(kind(),))
+    motion: Any = SimpleNamespace(q0_sd=0.01, seen_noise=np.array([1e-3]))
+    problem = Problem(Coordinates(like, names, 40.0), (motion,))
+    slope = np.random.default_rng(0).normal(size=(200, 5))
+    wanted = np.array([2.0, -0.3, -0.2, 3.0, -0.5])
+    rows = np.zeros(len(slope), int)
+    windows: Any = SimpleNamespace(run=rows[:1], window=rows, sample_run=rows, y=(slope @ wanted)[:, None])
+
+    class Linear(Search):
+        def _evaluate(self, x, offset, starts):
+            yield from ()
+            jacobian = np.concatenate([slope, np.zeros((len(slope), 1))], axis=1)[:, None]
+            predicted = (slope @ problem.coordinates.physical(x))[:, None]
+            return _Point(x, offset, cast(Any, SimpleNamespace(predicted=predicted, jacobian=jacobian)), [])
+
+    search = Linear(problem, windows, Round(0.01, True, np.inf, 1, 0.1, 1e-12, onward=True))
+    with pytest.raises(StopIteration) as end:
+        next(search.run(problem.coordinates.start, 100, [], 0))
+    free = [0, 3]
+    best, *_ = np.linalg.lstsq(slope[:, free], slope @ wanted)
+    found = problem.coordinates.physical(end.value.value)
+    np.testing.assert_allclose(found[free], best, rtol=1e-2)
+    np.testing.assert_allclose(found[[1, 2, 4]], 0.0, atol=1e-15)
