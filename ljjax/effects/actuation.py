@@ -87,22 +87,30 @@ CLIMBS, CLIMBS_AT_RAD = -0.1, (0.02, 0.05, 0.1, 0.2)
 """How much of a tension a second layer takes, and where it begins, in the searches for one."""
 
 
+HEATS_N = 10.0
+"""The tension whose current is that by which heat is counted."""
+
+
 class ActuatorGain(Effect):
     """The torque constant or the spool's radius is wrong: (1 + (e ± d) (1 − s + s c) ± w q_Σ) T_cmd, each tendon with a
     motor of its own; w where what is wound up makes the spool wider, or narrower (q_Σ: by how much the tendon is wound
     up), and l (1 + tanh((±q̄ − q_l ∓ δ)/q_w))/2 more where it climbs onto a second layer at a mean joint's angle of q_l.
-    A share s of the error comes after a run's start, as where drives warm: τ ċ = 1 − c, c = 0 at first."""
+    A share s of the error comes after a run's start, as where drives warm: τ ċ = 1 − c, c = 0 at first. Copper that its
+    own current warms carries less at a given voltage, by 1/(1 + (h ± d_h) c), τ ċ = (T/10 N)² − c."""
 
     id, block, axes = "actuator_gain", "actuation", ("load", "everywhere", "angle")
     error: jax.Array = parameter("1", 0.0, -0.6, 1.5, 0.1)
     difference: jax.Array = parameter("1", 0.0, -0.4, 0.4, 0.05)
     winding: jax.Array = parameter("1/rad", 0.0, -1.0, 1.0, 0.1)
     layer: jax.Array = parameter("1", 0.0, -0.6, 0.6, 0.1)
+    heat: jax.Array = parameter("1", 0.0, 0.0, 1.0, 0.01)
+    heat_difference: jax.Array = parameter("1", 0.0, -0.5, 0.5, 0.005)
     layer_rad: jax.Array = shape("rad", 0.0, -1.0, 1.0, (0.0, 0.4), "angle")
     layer_over_rad: jax.Array = shape("rad", 0.02, 1e-3, 0.5, (0.02,))
     layer_apart_rad: jax.Array = shape("rad", 0.0, -0.5, 0.5, (0.0,))
     warms: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     warms_s: jax.Array = shape("s", 5.0, 0.1, 200.0, (5.0,))
+    heats_s: jax.Array = shape("s", 5.0, 0.1, 200.0, (5.0,))
 
     @classmethod
     def likewise(cls, values):
@@ -110,7 +118,7 @@ class ActuatorGain(Effect):
         return [{**values, **alone, "layer_rad": x, "layer_over_rad": 0.3 * x} for x in CLIMBS_AT_RAD]
 
     def start(self, now):
-        return (0.0 * now.h,)
+        return 0.0 * now.h, *(0.0 * t for t in now.u)
 
     def actuate(self, memory, u, now):
         mean, end = lagged(1.0 + 0.0 * now.h, memory[0], self.warms_s, now.h)
@@ -122,7 +130,13 @@ class ActuatorGain(Effect):
             1 + self.error * there + apart + self.layer * (1 + left) / 2,
             1 + self.error * there - apart + self.layer * (1 + right) / 2,
         )
-        return tuple(g * t for g, t in zip(gains, u, strict=True)), (end,)
+        out, carried = [], []
+        heats = self.heat + self.heat_difference, self.heat - self.heat_difference
+        for gain, heat, t, held in zip(gains, heats, u, memory[1:], strict=True):
+            hot, after = lagged((t / HEATS_N) ** 2, held, self.heats_s, now.h)
+            out.append(t * gain / (1 + positive(heat * hot)))
+            carried.append(after)
+        return tuple(out), (end, *carried)
 
 
 LEAST = 0.05
@@ -132,7 +146,8 @@ LEAST = 0.05
 class ActuatorSaturation(Effect):
     """A share s ± δ of each tension stays below a limit L, its edge sharp or smooth, each tendon with a motor of its
     own: T − s T (1 − (1 + (T/L)^p)^(−1/p)), where both drives have one supply by T plus a part r of the other tension.
-    The limit folds back with what the motor has carried of late: L (1 − f c), τ ċ = T/L − c."""
+    The limit folds back with what the motor has carried of late: L (1 − f c), τ ċ = T/L − c. A loop that winds up at
+    the limit must unwind before it lets go: T is T + w there, τ_w ẇ = T − L, 0 ≤ w ≤ m L."""
 
     id, block, axes = "actuator_saturation", "actuation", ("load", "angle")
     share: jax.Array = parameter("1", 0.0, 0.0, 1.0, 0.5)
@@ -142,20 +157,26 @@ class ActuatorSaturation(Effect):
     fold: jax.Array = shape("1", 0.0, 0.0, 2.0, (1.0, 0.0))
     fold_s: jax.Array = shape("s", 1.0, 0.05, 60.0, (1.0,))
     shared: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    windup: jax.Array = shape("1", 0.0, 0.0, 3.0, (0.5, 0.0))
+    winds_s: jax.Array = shape("s", 0.5, 0.01, 60.0, (0.5,))
 
     def start(self, now):
-        return tuple(0.0 * t for t in now.u)
+        none = tuple(0.0 * t for t in now.u)
+        return none, none
 
     def actuate(self, memory, u, now):
         shares = self.share + self.difference, self.share - self.difference
-        out, carried = [], []
-        for s, t, other, c in zip(shares, u, u[::-1], memory, strict=True):
+        out, carried, wound = [], [], []
+        for s, t, other, c, w in zip(shares, u, u[::-1], *memory, strict=True):
             part = 1 - self.fold * c
             limit = self.limit_n * jnp.where(part > LEAST, part, LEAST + 0.0 * part)
             drawn = t + self.shared * other
-            out.append(t - s * t * (1 - bounded(drawn, limit, self.edge) / jnp.maximum(drawn, 1e-3)))
+            passed = bounded(drawn + w, limit, self.edge) / jnp.maximum(drawn, 1e-3)
+            out.append(t - s * t * (1 - passed))
             carried.append(lagged(out[-1] / self.limit_n, c, self.fold_s, now.h)[1])
-        return tuple(out), tuple(carried)
+            most = self.windup * self.limit_n
+            wound.append(jnp.minimum(positive(w + now.h / self.winds_s * (drawn - limit)), most))
+        return tuple(out), (tuple(carried), tuple(wound))
 
 
 APART_N = 5.0
@@ -167,8 +188,9 @@ class ActuatorLag(Effect):
     tendon), of the time constants τ₂ (1 ± i r), which rings for r > 1. Where the loop's rate is limited τ goes with
     (|T_cmd − T|/5 N)^p, to a rate of its own for p = 1. A share s of the tension may come later, with a time constant
     of c τ, as where flux diffuses into iron or a tendon creeps; and where the tension falls τ is 1 + f of it, as a
-    drive may let go more slowly than it winds. Each tendon has a motor of its own: τ and τ₂ are 1 ± d
-    of theirs. Exact for commands that hold over a step."""
+    drive may let go more slowly than it winds. From an elastic tendon the body takes, and gives, what the loop has not
+    wound yet: τ Ṫ = T_cmd − T − τ k q̇_Σ. Each tendon has a motor of its own: τ and τ₂ are 1 ± d of theirs. Exact for
+    commands that hold over a step."""
 
     id, block, axes = "actuator_lag", "actuation", ("rate", "load", "time")
     tau_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.05)
@@ -179,16 +201,18 @@ class ActuatorLag(Effect):
     later: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.3, 0.0))
     later_by: jax.Array = shape("1", 8.0, 1.0, 100.0, (8.0,))
     falling: jax.Array = shape("1", 0.0, -0.9, 10.0, (1.0, 0.0))
+    elastic_n: jax.Array = shape("N/rad", 0.0, 0.0, 500.0, (10.0, 0.0))
 
     def start(self, now):
         return now.u, now.u, tuple(0.0 * x for x in now.u), now.u
 
     def actuate(self, memory, u, now):
-        means, kept = [], []
-        shares = 1 + self.difference, 1 - self.difference
-        for x, share, first, second, rate, slow in zip(u, shares, *memory, strict=True):
+        means, kept, bends = [], [], sum(now.v)
+        shares, sides = (1 + self.difference, 1 - self.difference), (bends, -bends)
+        for x, share, side, first, second, rate, slow in zip(u, shares, sides, *memory, strict=True):
             tau = share * self.tau_s * jnp.where(x < first, 1 + self.falling, 1.0)
-            quick, end = pursued(x, first, tau, self.power, APART_N, now.h)
+            goal = x - tau * self.elastic_n * side
+            quick, end = map(positive, pursued(goal, first, tau, self.power, APART_N, now.h))
             late, slow = lagged(x, slow, tau * self.later_by, now.h)
             once = quick + self.later * (late - quick)
             mean, held, rate = ringing(once, second, rate, share * self.second_s, self.ring, now.h)
@@ -206,7 +230,8 @@ class ActuatorRipple(Effect):
     T + A E Σₖ aₖ sin(k w φ) + bₖ cos(k w φ), k = 1, 2, each tendon with a phase of its own; A = T₀ (T/T₀)^p, T₀ = 10 N,
     is the tension itself (ripple of the torque, p = 1) or the same for all tensions (cogging, p = 0). A wheel of N
     teeth off its centre pulls more on one side of its turn, A (o_s sin(w φ/N) + o_c cos(w φ/N)), and ripples more,
-    E = 1 + e_s sin(w φ/N) + e_c cos(w φ/N). A tendon never pushes."""
+    E = 1 + e_s sin(w φ/N) + e_c cos(w φ/N). Of what is slow a loop may take out a share s: of all ripple r there is
+    r − s c left, τ ċ = r − c. A tendon never pushes."""
 
     id, block, axes = "actuator_ripple", "actuation", ("angle", "load")
     left_sine: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.05)
@@ -229,13 +254,16 @@ class ActuatorRipple(Effect):
     left_runout_cosine: jax.Array = shape("1", 0.0, -0.9, 0.9, (0.0,))
     right_runout_sine: jax.Array = shape("1", 0.0, -0.9, 0.9, (0.0,))
     right_runout_cosine: jax.Array = shape("1", 0.0, -0.9, 0.9, (0.0,))
+    held: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    held_s: jax.Array = shape("s", 0.05, 0.002, 5.0, (0.05,))
 
     @classmethod
     def likewise(cls, values):
         up = {n: values[n + "2"] for n in values if n + "2" in values} | {n: 0.0 for n in values if n.endswith("2")}
         return [{**values, **up, "waves": 2 * values["waves"], "teeth": 2 * values["teeth"]}]
 
-    def actuate(self, memory, u, now):
+    def _ripple(self, u, now):
+        """What ripples add to each tension [N]."""
         bend = sum(now.middle)
         left = self.left_sine, self.left_cosine, self.left_sine2, self.left_cosine2
         right = self.right_sine, self.right_cosine, self.right_sine2, self.right_cosine2
@@ -249,19 +277,32 @@ class ActuatorRipple(Effect):
             sine, cosine = jnp.sin(turn / self.teeth), jnp.cos(turn / self.teeth)
             share = a * sine + b * cosine + (1 + more_a * sine + more_b * cosine) * wave(turn, *shares)
             size = COGGING_N * jnp.exp(0.5 * self.power * jnp.log((t * t + SLACK_N**2) / COGGING_N**2))
-            more, held = size * share, positive(t)
-            out.append(t + jnp.where(more >= -held, more, -held))
-        return tuple(out), memory
+            out.append(size * share)
+        return tuple(out)
+
+    def start(self, now):
+        return self._ripple(now.u, now)
+
+    def actuate(self, memory, u, now):
+        out, after = [], []
+        for t, ripple, slow in zip(u, self._ripple(u, now), memory, strict=True):
+            mean, end = lagged(ripple, slow, self.held_s, now.h)
+            more, all_of_it = ripple - self.held * mean, positive(t)
+            out.append(t + jnp.where(more >= -all_of_it, more, -all_of_it))
+            after.append(end)
+        return tuple(out), tuple(after)
 
 
-PAYS_OUT_S, EDGE, WOUND_N = 0.1, 0.2, 10.0
+PAYS_OUT_S, EDGE, WOUND_N, TAUT_N = 0.1, 0.2, 10.0, 0.01
 """In what time a slack tendon pays out all its slack; the share of the tension at which it begins to over which that
-rate changes; the tension that winds at the stated rate [N]."""
+rate changes; the tension that winds at the stated rate [N], and at which a play in the length is one of the tension;
+what a slack cable still has [N]."""
 
 
 class TendonSlack(Effect):
     """Backlash between spool and body: each tendon's tension passes a play of half-width w (1 ± d) of its own, and
-    their difference one of half-width w_d. And below the tension T_s a tendon goes slack, within tenths of a second by
+    their difference one of half-width w_d. A cable that is the stiffer the tauter it is has play in its length, that of
+    T_p (T/T_p)^p, T_p = 10 N. And below the tension T_s a tendon goes slack, within tenths of a second by
     what takes l (1 ± d) to wind up at 10 N, at other tensions in proportion to T/(T + T_w), as a motor's speed; of what
     is slack by s the body feels T exp(−s/τ), as cable tightens little by little. Cable that the body lets go of by
     bending to the tendon's side is slack too, f a radian, half of it at T_s, up to m (1 ± d), and is taken up by
@@ -270,6 +311,7 @@ class TendonSlack(Effect):
     id, block, axes = "tendon_slack", "actuation", ("direction", "load", "rate")
     width_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.5)
     net_n: jax.Array = parameter("N", 0.0, 0.0, 20.0, 0.5)
+    length: jax.Array = shape("1", 1.0, 0.3, 1.0, (0.5, 1.0))
     slack_s: jax.Array = parameter("s", 0.0, 0.0, 2.0, 0.02)
     slack_n: jax.Array = shape("N", 1.0, 0.05, 20.0, (1.0, 3.0))
     freed: jax.Array = parameter("s/rad", 0.0, 0.0, 5.0, 0.05)
@@ -286,8 +328,15 @@ class TendonSlack(Effect):
         return jax.nn.sigmoid((self.slack_n - tension) / (EDGE * self.slack_n))
 
     def start(self, now):
-        plays = tuple((x, 0.0 * x) for x in (*now.u, now.u[0] - now.u[1]))
+        plays = tuple((x, 0.0 * x) for x in (*map(self._length, now.u), now.u[0] - now.u[1]))
         return (*plays, *(s * self.slack_s * self._slack(x) for s, x in zip(self._shares(), now.u, strict=True)))
+
+    def _length(self, x: jax.Array) -> jax.Array:
+        """What the play is of, at a tension."""
+        return WOUND_N * jnp.exp(self.length * jnp.log((positive(x) + TAUT_N) / WOUND_N))
+
+    def _tension(self, of: jax.Array) -> jax.Array:
+        return WOUND_N * jnp.exp(jnp.log(jnp.maximum(of, 1e-3 * TAUT_N) / WOUND_N) / self.length) - TAUT_N
 
     def _felt(self, held: jax.Array, wound: jax.Array, rest: jax.Array) -> jax.Array:
         """The mean over a step of exp(−s/τ), s wound up by so much from what is held, but no further than to rest."""
@@ -311,7 +360,8 @@ class TendonSlack(Effect):
             taut.append(x * self._felt(held, wound, rest))
             slack.append(jnp.where(held > rest, rest + positive(held - wound - rest), jnp.minimum(held + paid, rest)))
         passed = zip(taut, self._shares(), plays[:2], strict=True)
-        (one, first), (two, second) = (play(x, s * self.width_n, m) for x, s, m in passed)
+        (one, first), (two, second) = (play(self._length(x), s * self.width_n, m) for x, s, m in passed)
+        one, two = self._tension(one), self._tension(two)
         net, third = play(one - two, self.net_n, plays[2])
         half = 0.5 * (net - (one - two))
         return (one + half, two - half), (first, second, third, *slack)

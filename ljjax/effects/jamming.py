@@ -6,7 +6,19 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import RESTED_S, dahl, gone, lagged, positive, power, ringing, saturated, towards_base, turned
+from ljjax.effects.shapes import (
+    RESTED_S,
+    dahl,
+    gone,
+    lagged,
+    play,
+    positive,
+    power,
+    ringing,
+    saturated,
+    towards_base,
+    turned,
+)
 
 APART_KPA = 10.0
 """The difference between line and sheath at which the sheath's time constants hold."""
@@ -44,8 +56,9 @@ class PressureLag(Effect):
 VENT_S, VENTED_KPA = 0.3, 0.5
 
 
-CHOKES_KPA = 20.0
-"""The vacuum at which an orifice leaks the same by any law."""
+CHOKES_KPA, PUMPS_KPA = 20.0, 1.0
+"""The vacuum at which an orifice leaks the same by any law; and by how much another one is asked for where it is pumped
+anew."""
 
 
 class PressureLeak(Effect):
@@ -55,7 +68,8 @@ class PressureLeak(Effect):
     leak may be at folds that open with the bend, and a share m at lips that open with motion: f then goes to
     (1 − b − m)₊ + b q²/(q² + w²) + m v²/(v² + ω²), q² and v² the joints' means, and to the latter two when vented. A
     share g of the leak opens as the session goes on: L is L (1 − g exp(−S/S₀)), S the way gone by the mean joint.
-    Behind an orifice L goes with (P_line/20 kPa)^(−c), c = ½ by Bernoulli's law."""
+    Behind an orifice L goes with (P_line/20 kPa)^(−c), c = ½ by Bernoulli's law. Where a pump shuts off, to pump again
+    after a time T and where another vacuum is asked for, a share p of the leak grows evenly in between: f = t/T."""
 
     id, block, axes = "pressure_leak", "jamming", ("pressure", "time")
     sudden = True
@@ -69,12 +83,15 @@ class PressureLeak(Effect):
     of_session: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     opens_rad: jax.Array = shape("rad", 10.0, 0.1, 1e3, (0.3,), "slip")
     chokes: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
+    topped: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    tops_s: jax.Array = shape("s", 6.0, 0.3, 200.0, (3.0, 6.0, 10.0))
 
     def start(self, now):
-        return 0.0 * now.vacuum, 0.0 * now.vacuum, now.worn
+        none = 0.0 * now.vacuum
+        return none, none, now.worn, none, now.vacuum
 
     def evacuate(self, memory, vacuum, now):
-        leaked, lacking, slip = memory
+        leaked, lacking, slip, unfed, pumped = memory
         held = vacuum > VENTED_KPA
         bend = sum(q * q for q in now.middle) / len(now.middle)
         rate = sum(v * v for v in now.v) / len(now.v)
@@ -86,11 +103,15 @@ class PressureLeak(Effect):
         late, lacking = lagged(vacuum, lacking, tau, now.h)
         share = self.share * (1 - self.of_session * jnp.exp(-slip / self.opens_rad))
         share = share * power(vacuum, CHOKES_KPA, -self.chokes)
-        vacuum = positive(vacuum - share * ((1 - self.held) * vacuum * part + self.held * late))
-        return vacuum, (leaked, lacking, slip)
+        pumps = (unfed > self.tops_s) | (jnp.abs(vacuum - pumped) > PUMPS_KPA)
+        unfed, pumped = jnp.where(pumps, 0.0 * unfed, unfed) + now.h, jnp.where(pumps, vacuum, pumped)
+        falls = vacuum * (unfed - 0.5 * now.h) / self.tops_s
+        lacks = (1 - self.held) * vacuum * part + self.held * late
+        vacuum = positive(vacuum - share * (lacks + self.topped * (falls - lacks)))
+        return vacuum, (leaked, lacking, slip, unfed, pumped)
 
     def remember(self, memory, now, after):
-        return *memory[:2], memory[2] + gone(now.q, after.q)
+        return *memory[:2], memory[2] + gone(now.q, after.q), *memory[3:]
 
 
 NO_KPA = 1e-3
@@ -100,7 +121,8 @@ NO_KPA = 1e-3
 class PressureBias(Effect):
     """Offset of regulator or gauge: P = (P_line + b P_line/(P_line + p₀))₊. With p₀ = 0 it is there whatever the
     vacuum; a regulator that closes at the atmosphere's pressure has none in a vented line, and comes to b over p₀. A
-    gauge that is switched on for each run may settle: b (1 − s + s exp(−t/τ))."""
+    gauge that is switched on for each run may settle: b (1 − s + s exp(−t/τ)); and one with hysteresis is off by
+    b (1 − k) on the way up, by b on the way down, and comes from one to the other over 2 w."""
 
     id, block, axes = "pressure_bias", "jamming", ("pressure", "everywhere")
     sudden = True
@@ -108,41 +130,72 @@ class PressureBias(Effect):
     vented_kpa: jax.Array = shape("kPa", 0.0, 0.0, 20.0, (0.0, 0.5, 4.0))
     settles: jax.Array = shape("1", 0.0, -10.0, 1.0, (1.0, 0.0))
     settles_s: jax.Array = shape("s", 5.0, 0.1, 1e3, (5.0,))
+    turns: jax.Array = shape("1", 0.0, -10.0, 1.0, (1.0, 0.0))
+    turn_kpa: jax.Array = shape("kPa", 3.0, 0.1, 20.0, (3.0,))
+
+    def start(self, now):
+        return now.vacuum - self.turn_kpa, 0.0 * now.vacuum
 
     def evacuate(self, memory, vacuum, now):
         p = positive(vacuum) + NO_KPA
         offset = self.offset_kpa * (1 + self.settles * jnp.expm1(-(now.t + 0.5 * now.h) / self.settles_s))
-        return positive(vacuum + offset * p / (p + self.vented_kpa)), memory
+        gauge, after = play(vacuum, self.turn_kpa, memory)
+        falls = 1 - self.turns * 0.5 * (1 - (gauge - vacuum) / self.turn_kpa)
+        return positive(vacuum + offset * falls * p / (p + self.vented_kpa)), after
+
+
+def _packed(packed, vacuum, most):
+    """The vacuum that layers feel that pack at once, and loosen only where there is less than a share of what packed
+    them."""
+    return jnp.clip(packed, vacuum, most * vacuum)
 
 
 class StiffnessSaturation(Effect):
     """α₂ saturates with the vacuum: α₂ + a y/(1 + yᵐ)^(1/m), y = (P/p₀)ⁿ, on top of the polynomial, whose own slope is
-    fitted too; n > 1 where the layers must first be drawn together, m > 1 where it bends the sharper."""
+    fitted too; n > 1 where the layers must first be drawn together, m > 1 where it bends the sharper. Layers that once
+    packed stay so until the vacuum is nearly gone feel the most there was, but no more than b P."""
 
     id, block, axes = "stiffness_saturation", "jamming", ("pressure", "angle")
     rise: jax.Array = parameter("N·m/rad", 0.0, -20.0, 20.0, 0.5)
     knee_kpa: jax.Array = shape("kPa", 5.0, 0.3, 60.0, (2.0, 6.0, 18.0))
     order: jax.Array = shape("1", 1.0, 0.5, 8.0, (3.0, 1.0))
     edge: jax.Array = shape("1", 1.0, 0.5, 8.0, (3.0, 1.0))
+    packs: jax.Array = shape("1", 1.0, 1.0, 10.0, (2.0, 1.0))
+
+    def start(self, now):
+        return (now.vacuum,)
 
     def alpha2(self, memory, alpha2, now):
-        more = self.rise * saturated(now.vacuum, self.knee_kpa, self.order, self.edge)
+        packed = _packed(memory[0], now.vacuum, self.packs)
+        more = self.rise * saturated(packed, self.knee_kpa, self.order, self.edge)
         return tuple(a + more for a in alpha2)
+
+    def remember(self, memory, now, after):
+        return (_packed(memory[0], now.vacuum, self.packs),)
 
 
 class FrictionSaturation(Effect):
     """φ saturates with the vacuum: φ + a y/(1 + yᵐ)^(1/m), y = (P/p₀)ⁿ, on top of the square root, whose own slope is
-    fitted too; n > 1 where the layers must first be drawn together, m > 1 where it bends the sharper."""
+    fitted too; n > 1 where the layers must first be drawn together, m > 1 where it bends the sharper. Layers that once
+    packed stay so until the vacuum is nearly gone feel the most there was, but no more than b P."""
 
     id, block, axes = "friction_saturation", "jamming", ("pressure", "direction")
     rise: jax.Array = parameter("N·m", 0.0, -100.0, 200.0, 3.0)
     knee_kpa: jax.Array = shape("kPa", 8.0, 0.3, 60.0, (2.0, 6.0, 18.0))
     order: jax.Array = shape("1", 1.0, 0.5, 8.0, (3.0, 1.0))
     edge: jax.Array = shape("1", 1.0, 0.5, 8.0, (3.0, 1.0))
+    packs: jax.Array = shape("1", 1.0, 1.0, 10.0, (2.0, 1.0))
+
+    def start(self, now):
+        return (now.vacuum,)
 
     def phi(self, memory, phi, now):
-        more = self.rise * saturated(now.vacuum, self.knee_kpa, self.order, self.edge)
+        packed = _packed(memory[0], now.vacuum, self.packs)
+        more = self.rise * saturated(packed, self.knee_kpa, self.order, self.edge)
         return tuple(p + more for p in phi)
+
+    def remember(self, memory, now, after):
+        return (_packed(memory[0], now.vacuum, self.packs),)
 
 
 WIDER = 4.0

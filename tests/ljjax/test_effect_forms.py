@@ -70,13 +70,147 @@ def test_a_gains_error_may_come_after_the_start():
         assert float(right) == pytest.approx(10.0 * (1 + 0.08 * came - 0.015), rel=1e-5)
 
 
+def test_a_motors_copper_may_warm_by_its_own_current():
+    """Each motor's by what it carries of 10 N, squared, within 2 s: the left one loses 1.5 times as much of it."""
+    kind: Any = REGISTRY["actuator_gain"]
+    gain, h = kind(heat=0.04, heat_difference=0.02, heats_s=2.0), 0.01
+    now: Any = SimpleNamespace(
+        u=(jnp.asarray(20.0), jnp.asarray(10.0)), middle=(jnp.asarray(0.1), jnp.asarray(-0.05)), h=jnp.asarray(h)
+    )
+    memory = gain.start(now)
+    for k in range(300):
+        (left, right), memory = gain.actuate(memory, now.u, now)
+        warm = 1 - np.exp(-(k + 0.5) * h / 2.0)
+        assert float(left) == pytest.approx(20.0 / (1 + 0.06 * 4 * warm), rel=1e-5)
+        assert float(right) == pytest.approx(10.0 / (1 + 0.02 * warm), rel=1e-5)
+
+
+def test_a_loop_that_winds_up_must_unwind():
+    """0.2 s at 5 N beyond the limit, half a second for each newton of them, wind up 2 N, on top of 7 N then until they
+    are unwound."""
+    kind: Any = REGISTRY["actuator_saturation"]
+    motor, h = kind(share=1.0, limit_n=10.0, edge=16.0, windup=1.0, winds_s=0.5), 0.01
+    now: Any = SimpleNamespace(u=(jnp.asarray(15.0), jnp.asarray(0.0)), h=jnp.asarray(h))
+    memory, out = motor.start(now), []
+    for k in range(100):
+        (left, _), memory = motor.actuate(memory, (jnp.asarray(15.0 if k < 20 else 7.0), jnp.asarray(0.0)), now)
+        out.append(float(left))
+    wound = 5.0 * 0.2 / 0.5
+    for k in range(20, 100):
+        still = max(wound - 3.0 * (k - 20) * h / 0.5, 0.0)
+        expected = 10.0 / (1 + (10.0 / (7.0 + still)) ** 16) ** (1 / 16)
+        assert out[k] == pytest.approx(expected, abs=0.02), k
+
+
+def test_a_loop_may_take_out_what_is_slow_of_a_ripple():
+    """Of a ripple of ω a loop of τ leaves iωτ/(1 + iωτ), and of a body at rest none."""
+    kind: Any = REGISTRY["actuator_ripple"]
+    about = {"left_sine": 0.1, "waves": 10.0, "stretch": 1e-4, "power": 0.0, "held": 1.0, "held_s": 0.05}
+    ripple, h, speed = kind(**about), 0.001, 2.0
+    u, omega = (jnp.asarray(10.0), jnp.asarray(10.0)), 10.0 * speed
+
+    def at(bend: float) -> Any:
+        return SimpleNamespace(u=u, middle=(jnp.asarray(bend),), h=jnp.asarray(h))
+
+    @jax.jit
+    def step(memory, bend):
+        return ripple.actuate(memory, u, at(bend))
+
+    memory, got = ripple.start(at(0.0)), []
+    for k in range(1500):
+        (left, _), memory = step(memory, speed * h * min(k, 1000))
+        got.append(float(left) - 10.0)
+    gain = 1j * omega * 0.05 / (1 + 1j * omega * 0.05)
+    t = h * np.arange(500, 1000)
+    np.testing.assert_allclose(got[500:1000], np.imag(gain * np.exp(1j * (omega * t + 0.01))), atol=0.02)
+    assert abs(got[-1]) < 1e-3 * max(map(abs, got))
+
+
+def test_an_elastic_tendon_gives_the_body_what_the_loop_has_not_wound():
+    """At a steady rate of the bend τ k q̇_Σ less in the tendon to whose side the body bends, more in the other."""
+    kind: Any = REGISTRY["actuator_lag"]
+    lag = kind(tau_s=0.05, elastic_n=20.0, power=0.0, later=0.0, falling=0.0)
+    now: Any = SimpleNamespace(
+        u=(jnp.asarray(5.0), jnp.asarray(8.0)), v=(jnp.asarray(0.5), jnp.asarray(0.3)), h=jnp.asarray(0.01)
+    )
+    memory = lag.start(now)
+    for _ in range(200):
+        (left, right), memory = lag.actuate(memory, now.u, now)
+    assert float(left) == pytest.approx(5.0 - 0.05 * 20 * 0.8) and float(right) == pytest.approx(8.0 + 0.05 * 20 * 0.8)
+    slack: Any = SimpleNamespace(u=(jnp.asarray(0.5), jnp.asarray(8.0)), v=now.v, h=now.h)
+    for _ in range(200):
+        (left, _), memory = lag.actuate(memory, slack.u, slack)
+    assert float(left) == 0.0
+
+
+def test_a_cable_that_stiffens_has_play_in_its_length():
+    """Of √T: 9 N of 16 pass where the play is as wide as the length that 1 N has, and 2.25 N are held of 0.25."""
+    kind: Any = REGISTRY["tendon_slack"]
+    unit = np.sqrt(10.0)  # of a length that is 10 √(T/10 N)
+    slack = kind(width_n=unit, length=0.5)
+    now: Any = SimpleNamespace(
+        u=(jnp.asarray(0.0), jnp.asarray(0.0)), v=(jnp.asarray(0.0),), q=(jnp.asarray(0.0),), h=jnp.asarray(0.01)
+    )
+    memory, out = slack.start(now), []
+    for x in (16.0, 9.0, 4.0, 0.25):
+        (left, _), memory = slack.actuate(memory, (jnp.asarray(x), jnp.asarray(0.0)), now)
+        out.append(float(left))
+    np.testing.assert_allclose(out, [9.0, 9.0, 9.0, 2.25], atol=0.05)
+
+
+def test_a_gauge_may_have_hysteresis():
+    """2 kPa off on the way down, by half of them on the way up, and from one to the other over twice 3 kPa."""
+    kind: Any = REGISTRY["pressure_bias"]
+    bias, now = kind(offset_kpa=2.0, turns=0.5, turn_kpa=3.0), SimpleNamespace(vacuum=jnp.asarray(5.0), t=0.0, h=0.01)
+    memory, off = bias.start(cast(Any, now)), []
+    for p in (5.0, 20.0, 17.0, 14.0, 5.0, 8.0, 11.0):
+        inside, memory = bias.evacuate(memory, jnp.asarray(p), cast(Any, now))
+        off.append(float(inside) - p)
+    np.testing.assert_allclose(off, [1.0, 1.0, 1.5, 2.0, 2.0, 1.5, 1.0], atol=1e-3)
+
+
+def test_a_pump_may_shut_off_and_pump_again():
+    """A leak of 0.4 loses half of that of 20 kPa on the way to 2 s, all of it there, and begins anew; another vacuum is
+    pumped at once."""
+    kind: Any = REGISTRY["pressure_leak"]
+    leak, h = kind(share=0.4, topped=1.0, tops_s=2.0), 0.01
+    now: Any = SimpleNamespace(
+        vacuum=jnp.asarray(20.0), worn=jnp.asarray(0.0), middle=(jnp.asarray(0.0),), v=(jnp.asarray(0.0),), h=h
+    )
+    memory, got = leak.start(now), []
+    for k in range(350):
+        inside, memory = leak.evacuate(memory, jnp.asarray(20.0 if k < 300 else 10.0), now)
+        got.append(float(inside))
+    for k in (0, 50, 100, 150, 198):
+        assert got[k] == pytest.approx(20.0 * (1 - 0.4 * (k + 0.5) * h / 2.0), abs=0.01)
+    assert got[203] > 19.8 and got[250] == pytest.approx(18.0, abs=0.1)
+    assert got[300] > 9.95 and got[349] == pytest.approx(10.0 * (1 - 0.4 * 0.495 / 2), abs=0.01)
+
+
+@pytest.mark.parametrize(("effect", "hook"), [("stiffness_saturation", "alpha2"), ("friction_saturation", "phi")])
+def test_layers_may_stay_packed_until_the_vacuum_is_nearly_gone(effect, hook):
+    """With b = 2: at 20 kPa what 20 kPa make, at 12 and 10 still, at 6 what 12 make, and none without a vacuum."""
+    kind: Any = REGISTRY[effect]
+    law = kind(rise=1.0, knee_kpa=10.0, packs=2.0)
+
+    def at(vacuum: float) -> Any:
+        return SimpleNamespace(vacuum=jnp.asarray(vacuum))
+
+    memory = law.start(at(0.0))
+    for vacuum, felt in ((20.0, 20.0), (12.0, 20.0), (10.0, 20.0), (6.0, 12.0), (0.0, 0.0), (5.0, 5.0)):
+        (got,) = getattr(law, hook)(memory, (jnp.asarray(1.0),), at(vacuum))
+        assert float(got) - 1 == pytest.approx(felt / 10 / (1 + felt / 10), abs=1e-6)
+        memory = law.remember(memory, at(vacuum), None)
+
+
 def test_a_cable_may_climb_onto_a_second_layer():
     """On the left spool once the mean joint has bent by 0.1 + 0.02 rad to its side, on the right one by 0.1 − 0.02."""
     kind: Any = REGISTRY["actuator_gain"]
     gain = kind(layer=-0.2, layer_rad=0.1, layer_over_rad=1e-3, layer_apart_rad=0.02)
     for angle, expected in ((0.11, (5.0, 5.0)), (0.13, (4.0, 5.0)), (-0.07, (5.0, 5.0)), (-0.09, (5.0, 4.0))):
-        now: Any = SimpleNamespace(middle=(jnp.asarray(2 * angle), jnp.zeros(())), h=jnp.asarray(0.01))
-        tensions, _ = gain.actuate(gain.start(now), (jnp.asarray(5.0), jnp.asarray(5.0)), now)
+        u = (jnp.asarray(5.0), jnp.asarray(5.0))
+        now: Any = SimpleNamespace(u=u, middle=(jnp.asarray(2 * angle), jnp.zeros(())), h=jnp.asarray(0.01))
+        tensions, _ = gain.actuate(gain.start(now), u, now)
         np.testing.assert_allclose(np.array(tensions), expected, rtol=1e-5)
 
 
@@ -262,16 +396,17 @@ def test_cogging_pulls_a_slack_tendon_but_never_pushes():
     """What a motor's cogging adds is the same at all tensions, up to what a slack tendon has to give."""
     ripple: Any = REGISTRY["actuator_ripple"]
     cogs = ripple(left_cosine=0.1, right_cosine=0.1, waves=10.0, stretch=1e-4, power=0.0)
-    now: Any = SimpleNamespace(middle=(jnp.asarray(np.pi / 10),))  # half a wave from where it pulls most
 
-    def pulled(t: float, at: Any = now) -> float:
-        (left, _), _ = cogs.actuate((), (jnp.asarray(t), jnp.asarray(5.0)), at)
+    def pulled(t: float, bend: float) -> float:
+        u = (jnp.asarray(t), jnp.asarray(5.0))
+        now: Any = SimpleNamespace(u=u, middle=(jnp.asarray(bend),), h=jnp.asarray(0.01))
+        (left, _), _ = cogs.actuate(cogs.start(now), u, now)
         return float(left)
 
-    straight: Any = SimpleNamespace(middle=(jnp.asarray(0.0),))
     for tension in (0.3, 3.0, 30.0):
-        assert pulled(tension, straight) == pytest.approx(tension + 1.0, abs=2e-3)
-        assert pulled(tension) == pytest.approx(max(tension - 1.0, 0.0), abs=2e-3)
+        assert pulled(tension, 0.0) == pytest.approx(tension + 1.0, abs=2e-3)
+        half_a_wave = np.pi / 10
+        assert pulled(tension, half_a_wave) == pytest.approx(max(tension - 1.0, 0.0), abs=2e-3)
 
 
 def test_a_ripple_an_octave_up_does_the_same_and_has_room_for_its_own_overtone():
@@ -283,9 +418,9 @@ def test_a_ripple_an_octave_up_does_the_same_and_has_room_for_its_own_overtone()
     (up,) = kind.likewise(values)
     assert up["waves"] == 18.0 and up["left_sine2"] == up["right_cosine2"] == 0.0
     for bend in np.linspace(-0.8, 0.8, 9):
-        now: Any = SimpleNamespace(middle=(jnp.asarray(bend),))
         u = (jnp.asarray(6.0), jnp.asarray(3.0))
-        one, other = (np.asarray(kind(**x).actuate((), u, now)[0]) for x in (values, up))
+        now: Any = SimpleNamespace(u=u, middle=(jnp.asarray(bend),), h=jnp.asarray(0.01))
+        one, other = (np.asarray(e.actuate(e.start(now), u, now)[0]) for e in (kind(**values), kind(**up)))
         np.testing.assert_allclose(one, other, rtol=1e-9)
         assert abs(one[0] - 6.0) > 1e-3
 
@@ -324,8 +459,9 @@ def test_a_wheel_off_its_centre_ripples_more_on_one_side_of_its_turn():
                    left_runout_sine=0.6, right_runout_cosine=0.3)  # fmt: skip
     for crest in (0, 1, 2):
         bend = (2 * np.pi * crest + np.pi / 2) / 16.0
-        now: Any = SimpleNamespace(middle=(jnp.asarray(bend),))
-        (left, right), _ = wheel.actuate((), (jnp.asarray(5.0), jnp.asarray(5.0)), now)
+        u = (jnp.asarray(5.0), jnp.asarray(5.0))
+        now: Any = SimpleNamespace(u=u, middle=(jnp.asarray(bend),), h=jnp.asarray(0.01))
+        (left, right), _ = wheel.actuate(wheel.start(now), u, now)
         assert float(left) == pytest.approx(5.0 + 1 + 0.6 * np.sin(2 * bend), abs=0.02)
         assert float(right) == pytest.approx(5.0 - 1 - 0.3 * np.cos(2 * bend), abs=0.02)
 
@@ -336,7 +472,7 @@ def test_a_loop_of_limited_rate_goes_at_that_rate_whatever_the_step(h):
     kind: Any = REGISTRY["actuator_lag"]
     lag, memory, out = kind(tau_s=0.01, power=1.0), ((jnp.asarray(2.0),) * 2,) * 2 + ((jnp.zeros(()),) * 2,) * 2, []
     for _ in range(round(0.08 / h)):
-        (mean, _), memory = lag.actuate(memory, (jnp.asarray(12.0),) * 2, SimpleNamespace(h=jnp.asarray(h)))
+        (mean, _), memory = lag.actuate(memory, (jnp.asarray(12.0),) * 2, SimpleNamespace(h=jnp.asarray(h), v=()))
         out.append((float(mean), float(memory[0][0])))
     ends = h * np.arange(1, len(out) + 1)
     ramp = np.minimum(2 + 500 * np.linspace(0, 0.08, 8001), 12.0)
@@ -348,7 +484,7 @@ def test_each_motor_may_lag_in_its_own_way():
     kind: Any = REGISTRY["actuator_lag"]
     lag = kind(tau_s=0.1, second_s=0.05, difference=1.0)
     zero = jnp.zeros(())
-    now: Any = SimpleNamespace(h=jnp.asarray(0.01))
+    now: Any = SimpleNamespace(h=jnp.asarray(0.01), v=())
     (left, right), _ = lag.actuate(((zero, zero),) * 4, (jnp.asarray(4.0), jnp.asarray(4.0)), now)
     assert float(left) < 0.1 and float(right) == 4.0
 
@@ -356,7 +492,7 @@ def test_each_motor_may_lag_in_its_own_way():
 def test_tension_may_fall_more_slowly_than_it_rises():
     """From 1 N to 4 N with a time constant of 0.1 s, back with one of 0.3 s."""
     kind: Any = REGISTRY["actuator_lag"]
-    lag, now = kind(tau_s=0.1, falling=2.0), SimpleNamespace(h=jnp.asarray(1e-3))
+    lag, now = kind(tau_s=0.1, falling=2.0), SimpleNamespace(h=jnp.asarray(1e-3), v=())
     low, high = jnp.asarray(1.0), jnp.asarray(4.0)
     for begin, asked, tau in ((low, high, 0.1), (high, low, 0.3)):
         memory, left = ((begin, begin), (begin, begin), (0.0 * begin,) * 2, (begin, begin)), begin
@@ -369,7 +505,11 @@ def test_tension_may_fall_more_slowly_than_it_rises():
 def test_a_share_of_the_tension_may_come_later():
     """0.7 of 4 N with a time constant of 0.1 s, 0.3 of it with one of 0.8 s."""
     kind: Any = REGISTRY["actuator_lag"]
-    lag, u, now = kind(tau_s=0.1, later=0.3), (jnp.asarray(4.0), jnp.zeros(())), SimpleNamespace(h=jnp.asarray(0.01))
+    lag, u, now = (
+        kind(tau_s=0.1, later=0.3),
+        (jnp.asarray(4.0), jnp.zeros(())),
+        SimpleNamespace(h=jnp.asarray(0.01), v=()),
+    )
     memory = ((jnp.zeros(()),) * 2,) * 4
     for k in range(60):
         (left, _), memory = lag.actuate(memory, u, now)
@@ -479,7 +619,7 @@ def test_saturation_may_want_a_vacuum_first(effect, hook):
     def more(order: float, vacuum: float, edge: float = 1.0) -> float:
         now: Any = SimpleNamespace(vacuum=jnp.asarray(vacuum))
         law = kind(rise=2.0, knee_kpa=8.0, order=order, edge=edge)
-        return float(getattr(law, hook)((), (jnp.asarray(1.0),), now)[0]) - 1
+        return float(getattr(law, hook)(law.start(now), (jnp.asarray(1.0),), now)[0]) - 1
 
     for order in (1.0, 3.0):
         assert [more(order, p) for p in (0.0, 8.0, 8e6)] == pytest.approx([0.0, 1.0, 2.0], abs=1e-4)
@@ -1038,5 +1178,5 @@ def test_a_gauge_may_settle_after_it_was_switched_on():
     """s = 0.8, τ = 4 s: in full at first, 0.2 + 0.8/e of it after 4 s."""
     bias: Any = REGISTRY["pressure_bias"](**{"offset_kpa": 2.0, "settles": 0.8, "settles_s": 4.0})
     for t, share in ((0.0, 1.0), (4.0, 0.2 + 0.8 * np.exp(-1))):
-        now: Any = SimpleNamespace(t=jnp.asarray(t), h=jnp.asarray(1e-6))
-        assert float(bias.evacuate((), jnp.asarray(10.0), now)[0]) == pytest.approx(10.0 + 2.0 * share, rel=1e-3)
+        now: Any = SimpleNamespace(vacuum=jnp.asarray(10.0), t=jnp.asarray(t), h=jnp.asarray(1e-6))
+        assert float(bias.evacuate(bias.start(now), now.vacuum, now)[0]) == pytest.approx(10.0 + 2.0 * share, rel=1e-3)
