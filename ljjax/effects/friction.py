@@ -44,10 +44,11 @@ class FrictionAsymmetry(Effect):
 
 
 class LoadDependentFriction(Effect):
-    """Tendon load presses the layers: φ + (k N(u₁ + u₂) + k_d N(u₁ − u₂)) (1 + g x) (1 − b + b |q|/q₀), N(u) = |u|
-    (|u|/u₀)^(p − 1), u₀ = 10 N; x from 1 at the base, where the loads of all joints add up, to −1 at the tip; a share b
-    presses where a tendon goes round a bend, q₀ = 0.1 rad; and times 1 − s + s φ/φ₀, φ₀ = 10 N·m, where load and vacuum
-    press the same layers. What is pressed together may come to N with a time constant, and part with another."""
+    """Tendon load presses the layers: φ + (k N(u₁ + u₂) + k_d N(u₁ − u₂)) (1 + g x) (1 − b + b |q|/q₀), N(u) = w
+    (w/u₀)^(p − 1), w = (|u| − T₀)₊, u₀ = 10 N, T₀ from where tendons press at all; x from 1 at the base, where the
+    loads of all joints add up, to −1 at the tip; a share b presses where a tendon goes round a bend, q₀ = 0.1 rad; and
+    times 1 − s + s φ/φ₀, φ₀ = 10 N·m, where load and vacuum press the same layers. What is pressed together may come to
+    N with a time constant, and part with another."""
 
     id, block, axes = "load_dependent_friction", "friction", ("load", "direction", "angle")
     gain: jax.Array = parameter("N·m/N", 0.0, 0.0, 20.0, 0.1)
@@ -58,10 +59,12 @@ class LoadDependentFriction(Effect):
     joins_s: jax.Array = shape("s", 0.0, 0.0, 60.0, (0.3, 0.0))
     parts_s: jax.Array = shape("s", 0.0, 0.0, 60.0, (2.0, 0.0))
     of_layers: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    from_n: jax.Array = shape("N", 0.0, 0.0, 100.0, (0.2, 0.0), "tension")
 
     def _presses(self, now):
         left, right = now.u
-        return [jnp.abs(u) * power(u, LOAD_N, self.power - 1) for u in (left + right, left - right)]
+        beyond = [positive(jnp.abs(u) - self.from_n) for u in (left + right, left - right)]
+        return [u * power(u, LOAD_N, self.power - 1) for u in beyond]
 
     def _lagging(self, memory, now):
         """Means over a step of what presses, and what does at its end."""
@@ -93,7 +96,8 @@ class ThermalDrift(Effect):
     W exp(−f x₊) for friction, the most 1/f past T₀ where layers rub most when they are lukewarm. Where no temperature
     is logged ΔT is that of a robot that warms while it runs and cools in between, towards 10 K and back within 600 s,
     10 K (1 − exp(−t/600 s)) in a first run, and c says how much faster it is, or slower. What lies inside may follow
-    with a time constant τ, from i ΔT at a run's start."""
+    with a time constant τ, from i ΔT at a run's start. Joints near what warms them may feel more of it: b (1 + g x) for
+    friction, x from 1 at the base to −1 at the tip."""
 
     id, block, axes = "thermal_drift", "friction", ("run", "time", "direction")
     friction_per_k: jax.Array = parameter("1/K", 0.0, -2.0, 2.0, 0.01)
@@ -103,6 +107,7 @@ class ThermalDrift(Effect):
     from_k: jax.Array = shape("K", 0.0, 0.0, 100.0, (0.4, 0.0), "warmth")
     inside_s: jax.Array = shape("s", 0.0, 0.0, 1e3, (60.0, 0.0))
     kept: jax.Array = shape("1", 1.0, 0.0, 5.0, (1.0,))
+    to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
 
     def start(self, now):
         return (self.kept * now.warm,)
@@ -128,4 +133,7 @@ class ThermalDrift(Effect):
     def phi(self, memory, phi, now):
         warm = self._inside(memory, now)[0]
         warmed = self._warmed(warm) * jnp.exp(-self.falls_per_k * positive(self._past(warm)))
-        return tuple(p * (1 + self.friction_per_k * warmed) for p in phi)
+        return tuple(
+            p * (1 + self.friction_per_k * place * warmed)
+            for p, place in zip(phi, towards_base(self.to_base, len(phi)), strict=True)
+        )

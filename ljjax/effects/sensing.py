@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from ljjax.effect import Effect, parameter, shape
-from ljjax.effects.shapes import along, lagged, ringing, sawtooth
+from ljjax.effects.shapes import along, gone, lagged, ringing, sawtooth, towards_base
 
 BEND_RAD, AXIS_RAD = 0.15, 0.5
 """Bend of a joint, and direction of a link, at which what a view from aside and a lens distort is what their parameters
@@ -21,7 +21,8 @@ class SensorScale(Effect):
     """The camera's scale is wrong, more so to one side where it looks from aside, and further out by its lens, with the
     angle or with the way off the axis: (1 + s + p b + r b² + l ψ²) y, b = y/0.15 rad, ψ the link's direction over
     0.5 rad. The picture may be wider than it is high, its pixels not square: a link at ψ then is seen at ψ′, tan ψ′ =
-    (1 + w) tan ψ."""
+    (1 + w) tan ψ. A share g of what s says comes as the session goes on, as a zoom creeps: s (1 − g exp(−S/S₀)), S the
+    way gone by the mean joint."""
 
     id, block, axes = "sensor_scale", "sensing", ("everywhere", "angle")
     sudden = True
@@ -30,23 +31,34 @@ class SensorScale(Effect):
     lens: jax.Array = parameter("1", 0.0, -0.3, 0.3, 0.02)
     off_axis: jax.Array = parameter("1", 0.0, -0.6, 1.5, 0.05)
     wide: jax.Array = parameter("1", 0.0, -0.6, 1.5, 0.05)
+    creeps: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    creeps_rad: jax.Array = shape("rad", 10.0, 0.1, 1e3, (0.7,), "slip")
+
+    def _error(self, slip):
+        return self.error * (1 - self.creeps * jnp.exp(-slip / self.creeps_rad))
+
+    def start(self, now):
+        return (now.worn,)
+
+    def remember(self, memory, now, after):
+        return (memory[0] + gone(now.q, after.q),)
 
     def sense(self, memory, y, now):
-        out, psi = [], 0.0
+        out, psi, error = [], 0.0, self._error(memory[0])
         for x in _widened(y, self.wide):
             b, psi = x / BEND_RAD, psi + x
-            out.append((1 + self.error + (self.aside + self.lens * b) * b + self.off_axis * (psi / AXIS_RAD) ** 2) * x)
+            out.append((1 + error + (self.aside + self.lens * b) * b + self.off_axis * (psi / AXIS_RAD) ** 2) * x)
         return tuple(out), memory
 
     def unsense(self, y, now=None):
-        out, before = [], 0.0
+        out, before, error = [], 0.0, self._error(0.0 if now is None else now.worn)
         for x in y:
-            q = x / (1 + self.error)
+            q = x / (1 + error)
             for _ in range(INVERSE):
                 first, second = self.aside * q / BEND_RAD, self.lens * (q / BEND_RAD) ** 2
                 psi = (before + q) / AXIS_RAD
-                wrong = (1 + self.error + first + second + self.off_axis * psi**2) * q - x
-                slope = 1 + self.error + 2 * first + 3 * second
+                wrong = (1 + error + first + second + self.off_axis * psi**2) * q - x
+                slope = 1 + error + 2 * first + 3 * second
                 q = q - wrong / (slope + self.off_axis * psi * (psi + 2 * q / AXIS_RAD))
             out.append(q)
             before = before + q
@@ -64,9 +76,14 @@ def _widened(angles: Sequence[jax.Array], more: jax.Array) -> list[jax.Array]:
     return out
 
 
+DRIFTS_S = 10.0
+"""The time in a run after which an offset that drifts is what it says."""
+
+
 class SensorBias(Effect):
     """Markers sit off their places: y + b, and where joints have markers of their own an offset each, by modes along
-    the body."""
+    the body. A share g of it comes with the time t since a run began, as where gyroscopes are set to zero then: b (1 −
+    g + g t/10 s)."""
 
     id, block, axes = "sensor_bias", "sensing", ("everywhere", "segment")
     sudden = True
@@ -77,15 +94,18 @@ class SensorBias(Effect):
     mode4: jax.Array = parameter("rad", 0.0, -0.5, 0.5, 0.01)
     mode5: jax.Array = parameter("rad", 0.0, -0.5, 0.5, 0.01)
 
-    def _offsets(self, n):
+    drifts: jax.Array = shape("1", 0.0, -5.0, 1.0, (1.0, 0.0))
+
+    def _offsets(self, n, t):
         modes = (self.mode1, self.mode2, self.mode3, self.mode4, self.mode5)
-        return [self.offset_rad + x for x in along(modes, n)]
+        share = 1 + self.drifts * (t / DRIFTS_S - 1)
+        return [share * (self.offset_rad + x) for x in along(modes, n)]
 
     def sense(self, memory, y, now):
-        return tuple(x + b for x, b in zip(y, self._offsets(len(y)), strict=True)), memory
+        return tuple(x + b for x, b in zip(y, self._offsets(len(y), now.t + now.h), strict=True)), memory
 
     def unsense(self, y, now=None):
-        return tuple(x - b for x, b in zip(y, self._offsets(len(y)), strict=True))
+        return tuple(x - b for x, b in zip(y, self._offsets(len(y), 0.0 if now is None else now.t), strict=True))
 
 
 class SensorFilter(Effect):
@@ -122,7 +142,8 @@ class SensorFilter(Effect):
 class SensorDelay(Effect):
     """The shape is stamped later than it was seen (camera latency, clock offset): y(t − d). Between two settings of its
     clock the stamps may drift: y(t − d) − d r s ẏ, s the sawtooth from −½ to ½ over the time T, at 0 at −φ T; to first
-    order too what it is more, or less, in one run than in others."""
+    order too what it is more, or less, in one run than in others, and for one joint than for others that are read after
+    it, d (1 + g x), x from 1 at the base to −1 at the tip."""
 
     id, block, axes = "sensor_delay", "sensing", ("rate", "time")
     sudden = True
@@ -130,6 +151,7 @@ class SensorDelay(Effect):
     drift: jax.Array = shape("1", 0.0, -2.0, 2.0, (0.0, 1.0), "drift")
     reset_s: jax.Array = shape("s", 5.0, 0.5, 1e3, (1.0,), "reset_s")
     phase: jax.Array = shape("1", 0.0, -10.0, 10.0, (1.0,), "phase")
+    to_base: jax.Array = shape("1", 0.0, -1.5, 1.5, (0.0,))
 
     def start(self, now):
         return tuple(now.q)
@@ -139,5 +161,5 @@ class SensorDelay(Effect):
 
     def sense(self, memory, y, now):
         share = self.more + self.drift * sawtooth((now.t + now.h) / self.reset_s + self.phase)
-        late = self.delay_seconds * share
-        return tuple(x - late * (x - before) / now.h for x, before in zip(y, memory, strict=True)), tuple(y)
+        late = [self.delay_seconds * (share + of - 1) for of in towards_base(self.to_base, len(y))]
+        return tuple(x - d * (x - before) / now.h for x, d, before in zip(y, late, memory, strict=True)), tuple(y)

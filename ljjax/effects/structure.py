@@ -24,7 +24,8 @@ class ViscoelasticCreep(Effect):
     """Backbone and sheath relax: a Maxwell branch k (q − x), τẋ = (q − x) (|q − x|/x₀)^(n − 1), x₀ = 0.03 rad, beside
     the elasticity, and one of 8 τ; n > 1 creeps by a power of its stress (Norton's law). Both are times 1 + g x, x from
     1 at the base to −1 at the tip, and times 1 − s + s α₂/α₂(0): s = 0 where the backbone relaxes, 1 where all that is
-    elastic does. A run starts from half a minute in its first shape, straight before that."""
+    elastic does. Layers that are pressed together flow more slowly, τ (1 + w P). A run starts from half a minute in its
+    first shape, straight before that."""
 
     id, block, axes = "viscoelastic_creep", "structure", ("time", "rate", "angle")
     stiffness: jax.Array = parameter("N·m/rad", 0.0, 0.0, 50.0, 0.3)
@@ -33,21 +34,23 @@ class ViscoelasticCreep(Effect):
     order: jax.Array = shape("1", 1.0, 0.5, 5.0, (3.0, 1.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
     of_layers: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
+    slower_per_kpa: jax.Array = shape("1/kPa", 0.0, 0.0, 10.0, (0.3, 0.0))
 
-    def _branches(self):
-        return (self.stiffness, self.tau_s), (self.slower, SLOWER * self.tau_s)
+    def _branches(self, now):
+        tau = self.tau_s * (1 + self.slower_per_kpa * now.vacuum)
+        return (self.stiffness, tau), (self.slower, SLOWER * tau)
 
     def _time(self, tau, stretch):
         return tau * power(stretch, BRANCH_RAD, 1 - self.order)
 
     def start(self, now):
-        crept = [1 - jnp.exp(-RESTED_S / tau) for _, tau in self._branches()]
+        crept = [1 - jnp.exp(-RESTED_S / tau) for _, tau in self._branches(now)]
         return tuple(tuple(share * q for q in now.q) for share in crept)
 
     def load(self, memory, load, now):
         along_body = zip(towards_base(self.to_base, len(load)), of_layers(self.of_layers, now), strict=True)
         shares, out = [a * b for a, b in along_body], list(load)
-        for (stiffness, tau), held in zip(self._branches(), memory, strict=True):
+        for (stiffness, tau), held in zip(self._branches(now), memory, strict=True):
             for i, (s, q, x) in enumerate(zip(shares, now.middle, held, strict=True)):
                 out[i] = out[i] - s * stiffness * (q - x) / (1 + 0.5 * now.h / self._time(tau, q - x))
         return tuple(out)
@@ -56,7 +59,7 @@ class ViscoelasticCreep(Effect):
         middles = [0.5 * (a + b) for a, b in zip(now.q, after.q, strict=True)]
         return tuple(
             tuple(lagged(q, x, self._time(tau, q - x), now.h)[1] for q, x in zip(middles, held, strict=True))
-            for (_, tau), held in zip(self._branches(), memory, strict=True)
+            for (_, tau), held in zip(self._branches(now), memory, strict=True)
         )
 
 
@@ -107,7 +110,8 @@ class ViscousDamping(Effect):
 class StiffnessHardening(Effect):
     """Elasticity nonlinear in the angle: k₃ (1 + g x) q³ (|q|/q₁)^(a − 3), q₁ = 0.1 rad, x from 1 at the base to −1 at
     the tip; a = 3 is the cubic spring. Times 1 − s + s α₂/α₂(0): s = 0 where the backbone hardens, 1 where all that is
-    elastic does; and 1 + r q/√(q² + w²), w = 0.02 rad, to one side more than to the other."""
+    elastic does; and 1 + r q/√(q² + w²), w = 0.02 rad, to one side more than to the other. Where one hose through the
+    whole body hardens, q is the mean joint's, for a share h of it."""
 
     id, block, axes = "stiffness_hardening", "structure", ("angle",)
     cubic: jax.Array = parameter("N·m/rad³", 0.0, -500.0, 5000.0, 5.0)
@@ -115,9 +119,12 @@ class StiffnessHardening(Effect):
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
     of_layers: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
     one_sided: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.6, 0.0, -0.6))
+    as_one: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
 
     def load(self, memory, load, now):
-        more = [self.cubic * q * q * q * power(q, BEND_RAD, self.power - 3) for q in now.middle]
+        mean = sum(now.middle) / len(now.middle)
+        bends = [q + self.as_one * (mean - q) for q in now.middle]
+        more = [self.cubic * q * q * q * power(q, BEND_RAD, self.power - 3) for q in bends]
         more = [x * s for x, s in zip(more, _sides(self.one_sided, now), strict=True)]
         more = [x * s for x, s in zip(more, of_layers(self.of_layers, now), strict=True)]
         return tuple(t - s * x for t, s, x in zip(load, towards_base(self.to_base, len(load)), more, strict=True))
@@ -238,7 +245,8 @@ class TipPayload(Effect):
     """An unmodelled mass m at the tip of a body that hangs, or held out beyond it by b: its gravity m g (x_m − x_i) and
     its inertia; where it sits beside the axis by e, no further than a load is hung, also the moment m e g cos ψ. A
     share s of it swings on a thread l: it draws the tip towards it by m s g/l (x_m − x), ẍ = g/l (x_m − x) − 2 ζ √(g/l)
-    ẋ, ζ = 0.04."""
+    ẋ, ζ = 0.04. A share v of it may be lost as the session goes on, m (1 − v (1 − exp(−S/S₀))), S the way gone by the
+    mean joint."""
 
     id, block, axes = "tip_payload", "structure", ("angle", "rate", "everywhere")
     sudden = True
@@ -247,6 +255,8 @@ class TipPayload(Effect):
     beyond_m: jax.Array = shape("m", 0.0, -0.02, 0.2, (0.06, 0.0))
     swings: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     thread_m: jax.Array = shape("m", 0.1, 0.005, 3.0, (0.1,))
+    lost: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    loses_rad: jax.Array = shape("rad", 10.0, 0.1, 1e3, (0.7,), "slip")
 
     @classmethod
     def likewise(cls, values):
@@ -259,27 +269,30 @@ class TipPayload(Effect):
         for q, length in zip(now.q, [*links, now.model.chain.half_length_m + self.beyond_m], strict=True):
             psi = psi + q
             across = across + length * jnp.sin(psi)
-        return across, 0.0 * across
+        return across, 0.0 * across, now.worn
+
+    def _mass(self, memory):
+        return self.mass_kg * (1 + self.lost * jnp.expm1(-memory[2] / self.loses_rad))
 
     def _swung(self, memory, now):
         """Where what swings is over a step, on average, and where and how fast at its end [m, m/s]."""
         tau = jnp.sqrt(self.thread_m / GRAVITY / (1 + RINGS**2))
-        place, rate = memory
+        place, rate, _ = memory
         return ringing(_ends(now, self.beyond_m)[0][0], place, rate, tau, jnp.asarray(RINGS), now.h)
 
     def remember(self, memory, now, after):
-        return self._swung(memory, now)[1:]
+        return *self._swung(memory, now)[1:], memory[2] + gone(now.q, after.q)
 
     def load(self, memory, load, now):
         across, along = _ends(now, self.beyond_m)
         aside = self.aside_m * now.cos[-1]
         back = self.swings * (across[0] - self._swung(memory, now)[0]) / self.thread_m
         pulls = [a + aside + back * b for a, b in zip(across, along, strict=True)]
-        return tuple(x - GRAVITY * self.mass_kg * p for x, p in zip(load, pulls, strict=True))
+        return tuple(x - GRAVITY * self._mass(memory) * p for x, p in zip(load, pulls, strict=True))
 
     def inertia(self, memory, m, now):
         across, along = _ends(now, self.beyond_m)
-        fixed = self.mass_kg * (1 - self.swings)
+        fixed = self._mass(memory) * (1 - self.swings)
         return tuple(
             tuple(e + fixed * (along[i] * along[k] + across[i] * across[k]) for k, e in enumerate(row))
             for i, row in enumerate(m)
@@ -290,7 +303,8 @@ class GravityDistribution(Effect):
     """Weight acts along the hanging body, not as one cosine: U = Σ m g hᵢ(q), from links of the weight w (the last of
     half of it), more or less of it along the body by modes, beside α₁, which is fitted too. A share s of what more a
     link weighs has mass, where it is carried and not mistaken. Of what rests on something while the body hangs, cables
-    or hoses, a link at ψ lifts r sin²ψ times as much more."""
+    or hoses, a link at ψ lifts r sin²ψ times as much more. What is strapped along one side has a moment too, e cos ψ on
+    each link."""
 
     id, block, axes = "gravity_distribution", "structure", ("angle", "segment")
     link_weight_n: jax.Array = parameter("N", 0.0, -5.0, 20.0, 0.2)
@@ -299,6 +313,7 @@ class GravityDistribution(Effect):
     mode3: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.1)
     mode4: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.1)
     mode5: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.1)
+    aside_nm: jax.Array = parameter("N·m", 0.0, -0.5, 0.5, 0.005)
     of_mass: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     lifted: jax.Array = shape("1", 0.0, -0.5, 5.0, (1.0, 0.0))
 
@@ -308,7 +323,9 @@ class GravityDistribution(Effect):
 
     def load(self, memory, load, now):
         moments = _moments(now, self._weights(len(load)), tuple(x * (1 + self.lifted * x * x) for x in now.sin))
-        return tuple(x - m for x, m in zip(load, moments, strict=True))
+        own = [*now.cos[:-1], 0.5 * now.cos[-1]]
+        asides = _sums([self.aside_nm] * len(own), tuple(own))
+        return tuple(x - m - a for x, m, a in zip(load, moments, asides, strict=True))
 
     def inertia(self, memory, m, now):
         more = _inertia(now, [self.of_mass * positive(w) / GRAVITY for w in self._weights(len(m))])
@@ -348,15 +365,17 @@ class NonuniformStiffness(Effect):
         return tuple(a + d * x * s for a, x, d, s in zip(alpha2, parts, modes, sides, strict=True))
 
 
-CREEP_M_S = 1e-3
-"""How fast the tip slides along an obstacle where it is held by 0.7 of its friction."""
+CREEP_M_S, SOFT_M = 1e-3, 0.01
+"""How fast the tip slides along an obstacle where it is held by 0.7 of its friction; and the way beyond it at which it
+pushes the same by any power."""
 
 
 class Contact(Effect):
     """One-sided contact, on the side the angle q_c says: an end stop k_c (q − q_c)₊ in every joint, stiffer to
     the base, or the tip, by a share g; and an obstacle beside the tip, or beside what lies a share of the body's length
-    from the base, where that is when every joint is at q_c, that pushes back with k_t times the way beyond it and rubs
-    with μ times that, along the unbent body."""
+    from the base, where that is when every joint is at q_c, that pushes back with k_t times the way d beyond it, k_t d
+    (d/1 cm)^(p − 1) where it is soft, and rubs with μ times that, along the unbent body. A share w of it is also on the
+    other side, o times as far away, as in a tube."""
 
     id, block, axes = "contact", "structure", ("angle",)
     sudden = True
@@ -366,6 +385,9 @@ class Contact(Effect):
     rough: jax.Array = shape("1", 0.4, 0.0, 2.0, (0.4,))
     share: jax.Array = shape("1", 1.0, 0.1, 1.0, (0.5, 1.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
+    power: jax.Array = shape("1", 1.0, 0.7, 4.0, (2.0, 1.0))
+    both: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    other: jax.Array = shape("1", 1.0, 0.2, 5.0, (1.0,))
 
     def torque(self, memory, i, q, v, stage):
         side = jnp.where(self.angle_rad < 0, -1.0 + 0.0 * q, 1.0 + 0.0 * q)
@@ -379,9 +401,11 @@ class Contact(Effect):
         across, along = _sums(links, now.sin), _sums(links, now.cos)
         at = sum(x * jnp.sin((i + 1) * self.angle_rad) for i, x in enumerate(links))
         side = jnp.where(self.angle_rad < 0, -1.0 + 0.0 * at, 1.0 + 0.0 * at)
-        force = self.obstacle * positive(side * (across[0] - at))
+        near, far = (positive(side * (across[0] - at)), positive(-side * (across[0] + self.other * at)))
+        near, far = (d * power(d, SOFT_M, self.power - 1) for d in (near, far))
+        force, far = self.obstacle * (near - self.both * far), self.obstacle * (near + self.both * far)
         slides = sum(a * v for a, v in zip(across, now.v, strict=True))
-        return side * force, along, self.rough * force / jnp.sqrt(slides * slides + CREEP_M_S**2), across
+        return side * force, along, self.rough * far / jnp.sqrt(slides * slides + CREEP_M_S**2), across
 
     def load(self, memory, load, now):
         force, along, rubs, across = self._obstacle(now)

@@ -648,13 +648,121 @@ def test_creep_goes_by_a_power_of_its_stress():
 
     kind: Any = REGISTRY["viscoelastic_creep"]
     creep, bend, h = kind(stiffness=1.0, tau_s=0.5, order=3.0), 0.05, 0.002
-    now: Any = SimpleNamespace(q=(jnp.asarray(bend),), h=jnp.asarray(h))
+    now: Any = SimpleNamespace(q=(jnp.asarray(bend),), vacuum=jnp.asarray(10.0), h=jnp.asarray(h))
     memory: Any = ((jnp.zeros(()),), (jnp.zeros(()),))
     for _ in range(500):
         memory = creep.remember(memory, now, now)
     ode = solve_ivp(lambda _, x: (bend - x) / 0.5 * ((bend - x) / 0.03) ** 2, (0, 1.0), [0.0], rtol=1e-9)
     assert float(memory[0][0]) == pytest.approx(float(ode.y[0, -1]), rel=5e-3)
     assert float(memory[1][0]) < 0.5 * float(memory[0][0])
+
+
+def test_layers_that_are_pressed_together_may_flow_more_slowly():
+    """Of 0.05 rad 1 − exp(−t/τ) in 1 s, τ = 0.5 s without a vacuum, four times as long at 15 kPa."""
+    kind: Any = REGISTRY["viscoelastic_creep"]
+    creep, h = kind(stiffness=1.0, tau_s=0.5, slower_per_kpa=0.2), 0.01
+    for vacuum, tau in ((0.0, 0.5), (15.0, 2.0)):
+        now: Any = SimpleNamespace(q=(jnp.asarray(0.05),), vacuum=jnp.asarray(vacuum), h=jnp.asarray(h))
+        memory: Any = ((jnp.zeros(()),), (jnp.zeros(()),))
+        for _ in range(100):
+            memory = creep.remember(memory, now, now)
+        assert float(memory[0][0]) == pytest.approx(0.05 * (1 - np.exp(-1.0 / tau)))
+
+
+def test_one_hose_through_the_whole_body_hardens_with_its_mean_bend(robot):
+    """h = 1: every joint feels what the mean one's bend makes, also one that is straight."""
+    kind: Any = REGISTRY["stiffness_hardening"]
+    bends = (jnp.asarray(0.3), jnp.asarray(0.0), jnp.asarray(0.0))
+    now: Any = SimpleNamespace(model=robot(3), middle=bends, vacuum=jnp.zeros(()), alpha2=(jnp.ones(()),) * 3)
+    felt = kind(cubic=2.0, as_one=1.0).load((), (jnp.zeros(()),) * 3, now)
+    np.testing.assert_allclose(felt, -2.0 * 0.1**3, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("effect", "size", "share", "over"), [
+    ("tip_payload", "mass_kg", "lost", "loses_rad"), ("sensor_scale", "error", "creeps", "creeps_rad")])  # fmt: skip
+def test_a_load_may_drip_and_a_zoom_may_creep(robot, effect, size, share, over):
+    """After 20 rad of slip, of 10 rad, of what is there at first 1 − 0.5 (1 − e⁻²) and of what comes 1 − 0.5 e⁻²."""
+    kind: Any = REGISTRY[effect]
+    one, zero = jnp.ones(()), jnp.zeros(())
+    about = {"model": robot(2), "q": (zero, zero), "middle": (zero, zero), "h": jnp.asarray(0.01)}
+    now: Any = SimpleNamespace(**about, sin=(one, one), cos=(zero, zero), worn=20.0 * one)
+    values = {size: 0.1, share: 0.5, over: 10.0}
+
+    def acts(**values: float) -> float:
+        acting = kind(**values)
+        if effect == "tip_payload":
+            return float(acting.load(acting.start(now), (zero, zero), now)[0])
+        (seen, _), _ = acting.sense(acting.start(now), (one, one), now)
+        assert float(acting.unsense((seen, seen), now)[0]) == pytest.approx(1.0)
+        return float(seen) - 1
+
+    left = 1 - 0.5 * (1 - np.exp(-2)) if effect == "tip_payload" else 1 - 0.5 * np.exp(-2)
+    assert acts(**values) == pytest.approx(left * acts(**{size: 0.1}))
+
+
+def test_an_offset_may_come_within_each_run():
+    """g = 1: none at its start, of b half at 5 s; a run is begun where the body is."""
+    kind: Any = REGISTRY["sensor_bias"]
+    bias, y = kind(offset_rad=0.02, drifts=1.0), (jnp.asarray(0.1),)
+    for t in (0.0, 5.0):
+        now: Any = SimpleNamespace(t=jnp.asarray(t), h=jnp.asarray(0.0))
+        (seen,), _ = bias.sense((), y, now)
+        assert float(seen) == pytest.approx(0.1 + 0.02 * t / 10)
+        assert float(bias.unsense((seen,), now)[0]) == pytest.approx(0.1)
+
+
+def test_markers_may_be_read_one_after_the_other():
+    """g = 0.5: to first order the base's joint is seen half as much later again, the tip's half as much sooner."""
+    kind: Any = REGISTRY["sensor_delay"]
+    now: Any = SimpleNamespace(q=(jnp.zeros(()),) * 2, t=jnp.zeros(()), h=jnp.asarray(0.01))
+    delay = kind(delay_seconds=0.02, to_base=0.5, drift=0.0)
+    seen, _ = delay.sense(delay.start(now), (jnp.asarray(0.01),) * 2, now)
+    np.testing.assert_allclose(seen, [0.01 - 0.01, 0.01 + 0.01])
+
+
+def test_warmth_may_be_near_the_base():
+    kind: Any = REGISTRY["thermal_drift"]
+    now: Any = SimpleNamespace(warm=jnp.asarray(2.0), h=jnp.asarray(0.01))
+    drift = kind(friction_per_k=-0.1, to_base=0.5)
+    got = drift.phi(drift.start(now), (jnp.ones(()),) * 3, now)
+    np.testing.assert_allclose(got, [1 - 0.3, 1 - 0.2, 1 - 0.1], rtol=1e-4)
+
+
+def test_tendons_may_press_from_some_load_on():
+    kind: Any = REGISTRY["load_dependent_friction"]
+    press = kind(gain=0.1, from_n=8.0)
+    for load, more in ((6.0, 0.0), (14.0, 0.6)):
+        now: Any = SimpleNamespace(u=(jnp.asarray(load), jnp.zeros(())), q=(jnp.zeros(()),), h=jnp.asarray(0.01))
+        (phi,) = press.phi(press.start(now), (jnp.asarray(10.0),), now)
+        assert float(phi) == pytest.approx(10.0 + more)
+
+
+def test_what_is_strapped_along_one_side_has_a_moment(robot):
+    """Of three links, the last of half the weight, hanging straight down: 2.5, 1.5 and 0.5 times e."""
+    kind: Any = REGISTRY["gravity_distribution"]
+    zero, one = (jnp.zeros(()),) * 3, (jnp.ones(()),) * 3
+    now: Any = SimpleNamespace(model=robot(3), sin=zero, cos=one)
+    np.testing.assert_allclose(kind(aside_nm=0.01).load((), zero, now), [-0.025, -0.015, -0.005])
+
+
+def test_an_obstacle_may_be_soft_and_on_both_sides(robot):
+    """p = 2: at 2 cm beyond it four times as much as at 1 cm; the other wall, twice as far, pushes the other way."""
+    kind: Any = REGISTRY["contact"]
+    model = robot(1)
+    length = float(model.chain.half_length_m)
+    tube = kind(obstacle=100.0, angle_rad=0.2, power=2.0, both=1.0, other=2.0, rough=0.0)
+
+    def push(off_m: float) -> float:
+        sine = off_m / length
+        now: Any = SimpleNamespace(
+            model=model, sin=(jnp.asarray(sine),), cos=(jnp.asarray(1.0),), v=(jnp.zeros(()),), h=jnp.asarray(0.01)
+        )
+        return -float(tube.load((), (jnp.zeros(()),), now)[0]) / length
+
+    wall = length * np.sin(0.2)
+    assert push(wall + 0.01) == pytest.approx(1.0, rel=1e-3) and push(wall + 0.02) == pytest.approx(4.0, rel=1e-3)
+    assert push(-1.9 * wall) == push(0.9 * wall) == 0.0
+    assert push(-2 * wall - 0.01) == pytest.approx(-1.0, rel=1e-3)
 
 
 def test_layers_rub_more_the_more_they_are_bent():
@@ -782,7 +890,9 @@ def test_a_load_beside_the_axis_is_a_load(robot):
     """Its moment goes with its mass: a tilted base is no payload without one."""
     kind: Any = REGISTRY["tip_payload"]
     model, zero = robot(2), (jnp.zeros(()),) * 2
-    now: Any = SimpleNamespace(model=model, q=zero, middle=zero, sin=zero, cos=(jnp.ones(()),) * 2, h=jnp.asarray(0.01))
+    now: Any = SimpleNamespace(
+        model=model, q=zero, middle=zero, sin=zero, cos=(jnp.ones(()),) * 2, h=jnp.asarray(0.01), worn=jnp.zeros(())
+    )
     none, some = kind(mass_kg=0.0, aside_m=0.05), kind(mass_kg=0.1, aside_m=0.05)
     assert [float(x) for x in none.load(none.start(now), zero, now)] == [0.0, 0.0]
     both = some.load(some.start(now), zero, now)
@@ -795,17 +905,20 @@ def test_a_load_may_be_held_out_beyond_the_tip(robot):
     held: Any = REGISTRY["tip_payload"](**{"mass_kg": 0.1, "beyond_m": 0.06})
     model, none, one = robot(2), (jnp.zeros(()),) * 2, (jnp.ones(()),) * 2
     arms = np.array([3.0, 1.0]) * float(model.chain.half_length_m) + 0.06
-    level: Any = SimpleNamespace(model=model, q=none, middle=none, sin=one, cos=none, h=jnp.asarray(0.01))
+    about = {"model": model, "q": none, "middle": none, "h": jnp.asarray(0.01), "worn": jnp.zeros(())}
+    level: Any = SimpleNamespace(**about, sin=one, cos=none)
     np.testing.assert_allclose(held.load(held.start(level), none, level), -9.80665 * 0.1 * arms)
-    hung: Any = SimpleNamespace(model=model, middle=none, sin=none, cos=one)
-    np.testing.assert_allclose(held.inertia((), ((0.0, 0.0), (0.0, 0.0)), hung), 0.1 * np.outer(arms, arms))
+    hung: Any = SimpleNamespace(**about, sin=none, cos=one)
+    np.testing.assert_allclose(
+        held.inertia(held.start(hung), ((0.0, 0.0), (0.0, 0.0)), hung), 0.1 * np.outer(arms, arms)
+    )
 
 
 def test_a_lens_stretches_what_is_off_the_axis():
     """The second of two links that lean alike by 0.25 rad is 0.5 rad off, which counts in full."""
     lens = REGISTRY["sensor_scale"](**{"off_axis": 0.1})
-    bent, now = (jnp.asarray(0.25), jnp.asarray(0.25)), cast(Any, SimpleNamespace())
-    (first, second), _ = lens.sense((), bent, now)
+    bent, now = (jnp.asarray(0.25), jnp.asarray(0.25)), cast(Any, SimpleNamespace(worn=jnp.zeros(())))
+    (first, second), _ = lens.sense(lens.start(now), bent, now)
     np.testing.assert_allclose((first, second), (0.25 * (1 + 0.1 / 4), 0.25 * 1.1), rtol=1e-12)
     np.testing.assert_allclose(lens.unsense((first, second)), (0.25, 0.25), rtol=1e-9)
 
@@ -813,8 +926,8 @@ def test_a_lens_stretches_what_is_off_the_axis():
 def test_a_picture_may_be_wider_than_it_is_high():
     """Links at 0.3 and 0.7 rad, as their ends are seen."""
     wide = REGISTRY["sensor_scale"](**{"wide": 0.2})
-    bent, now = (jnp.asarray(0.3), jnp.asarray(0.4)), cast(Any, SimpleNamespace())
-    seen, _ = wide.sense((), bent, now)
+    bent, now = (jnp.asarray(0.3), jnp.asarray(0.4)), cast(Any, SimpleNamespace(worn=jnp.zeros(())))
+    seen, _ = wide.sense(wide.start(now), bent, now)
     expected = [np.arctan2(1.2 * np.sin(x), np.cos(x)) for x in (0.3, 0.7)]
     np.testing.assert_allclose(np.cumsum(seen), expected, rtol=1e-12)
     np.testing.assert_allclose(wide.unsense(seen), bent, rtol=1e-9)
@@ -872,6 +985,28 @@ def test_what_turns_may_rub_less_the_more_it_is_drawn():
     band, now = kind(share=1.0, band_n=2.0, edge=8.0, fades=0.5), SimpleNamespace(u=drawn, h=jnp.asarray(0.01))
     (below, above), _ = band.actuate(band.start(now), drawn, now)
     np.testing.assert_allclose((below, above), (0.0, 10 - 2 * np.exp(-2.0)), atol=2e-3)
+
+
+def test_a_tension_may_stick_until_it_is_asked_to_change_by_enough():
+    """By 2 N: of what rises and falls evenly what was last asked is held, up to 2 N off; half of it is half as far."""
+    kind: Any = REGISTRY["actuator_deadband"]
+    asked = [*np.linspace(5.0, 15.0, 201), *np.linspace(15.0, 5.0, 201)]
+    now: Any = SimpleNamespace(u=(jnp.asarray(5.0),) * 2, h=jnp.asarray(0.01))
+    held, expected, got = 5.0, [], {}
+    for x in asked:
+        held = x if abs(x - held) > 2.0 else held
+        expected.append(held)
+    for share in (1.0, 0.5):
+        band = kind(sticks=share, hold_n=2.0)
+        memory, out = band.start(now), []
+        for x in asked:
+            (left, _), memory = band.actuate(memory, (jnp.asarray(x),) * 2, now)
+            out.append(float(left))
+        got[share] = np.array(out) - asked
+    np.testing.assert_allclose(got[1.0], np.array(expected) - asked, atol=1e-9)
+    np.testing.assert_allclose(got[0.5], 0.5 * got[1.0], atol=1e-9)
+    values = {n: float(about["null"]) for n, about in kind.fields().items()} | {"sticks": 1.0, "hold_n": 2.0}
+    assert len({x["hold_n"] for x in kind.likewise(values)} | {2.0}) == 9 and not kind.likewise(values | {"sticks": 0})
 
 
 def test_grease_may_thin_while_it_is_worked_and_set_again_at_rest():
@@ -1143,7 +1278,7 @@ def test_a_load_may_swing_on_a_thread(robot):
     kind: Any = REGISTRY["tip_payload"]
     model, one, length, h = robot(2), jnp.ones(()), 0.05, 1e-3
     load = kind(mass_kg=0.1, swings=1.0, thread_m=length)
-    straight: Any = SimpleNamespace(model=model, q=(0.0 * one,) * 2, h=jnp.asarray(h))
+    straight: Any = SimpleNamespace(model=model, q=(0.0 * one,) * 2, h=jnp.asarray(h), worn=0.0 * one)
     memory = load.start(straight)
     drawn: Any = SimpleNamespace(**vars(straight), middle=(0.0 * one, 0.0 * one), sin=(0.1 * one,) * 2, cos=(one,) * 2)
     reach = 3.0 * float(model.chain.half_length_m)
