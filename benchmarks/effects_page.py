@@ -137,6 +137,16 @@ def screened() -> Screen:
     return gather([f for f in found if not isinstance(f, Exception)], said, forms)
 
 
+def _usual(found: Screen, effect: str) -> tuple[str, int]:
+    """The form of an effect that has most of its parameters as they usually are; of several the one that gains most."""
+    about = REGISTRY[effect].fields()
+
+    def usual(key: tuple[str, int]) -> tuple[int, float]:
+        return sum(x == about[n]["null"] for n, x in found.forms[key].items()), found.gains[key]
+
+    return max((k for k in found.forms if k[0] == effect), key=usual)
+
+
 def page(found: Screen) -> str:
     """docs/effects.md."""
     able = varying(REGISTRY["base_tilt"]).fields()
@@ -162,15 +172,16 @@ def page(found: Screen) -> str:
             words = " ".join((kind.__doc__ or "").split()).replace("|", "\\|")
             parameters = [_parameter(name, about) for name, about in kind.fields().items()]
             others = [o for o in found.ids if o != kind.id]
-            near = sorted(((found.alike(found.best(kind.id), found.best(o)), o) for o in others), reverse=True)
+            near = sorted(((found.alike(_usual(found, kind.id), _usual(found, o)), o) for o in others), reverse=True)
             like = ", ".join(f"`{o}` {c:.2f}" for c, o in near[:4] if c > ALIKE) or "–"
             out.append(f"| `{kind.id}` | {words} | {'<br>'.join(parameters)} | {like} |")
         out.append("")
     out += [
-        "**Looks like**: cosine of the least angle between the traces of two effects at their nulls, the base's own",
-        "parameters projected off, in eight runs of a robot whose six joint angles are logged (1.00: these runs cannot",
-        "tell them apart; above 0.95 listed). Effects with several parameters are alike if any of their directions",
-        "are. What a short run does not show (a leak, wear, warming) looks flat in the picture.",
+        "**Looks like**: cosine of the least angle between the traces of two effects at their nulls, in their usual",
+        "forms, the base's own parameters projected off, in eight runs of a robot whose six joint angles are logged",
+        "(1.00: these runs cannot tell them apart; above 0.95 listed). Effects with several parameters are alike if",
+        "any of their directions are. What a short run does not show (a leak, wear, warming) looks flat in the",
+        "picture.",
         "",
         "## How an effect varies",
         "",

@@ -218,7 +218,7 @@ class ActuatorLag(Effect):
     later: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.3, 0.0))
     later_by: jax.Array = shape("1", 8.0, 1.0, 100.0, (8.0,))
     falling: jax.Array = shape("1", 0.0, -0.9, 10.0, (1.0, 0.0))
-    elastic_n: jax.Array = shape("N/rad", 0.0, 0.0, 500.0, (10.0, 0.0))
+    elastic_n: jax.Array = shape("N/rad", 0.0, 0.0, 40.0, (10.0, 0.0))
 
     def start(self, now):
         return now.u, now.u, tuple(0.0 * x for x in now.u), now.u

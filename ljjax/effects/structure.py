@@ -303,8 +303,7 @@ class GravityDistribution(Effect):
     """Weight acts along the hanging body, not as one cosine: U = Σ m g hᵢ(q), from links of the weight w (the last of
     half of it), more or less of it along the body by modes, beside α₁, which is fitted too. A share s of what more a
     link weighs has mass, where it is carried and not mistaken. Of what rests on something while the body hangs, cables
-    or hoses, a link at ψ lifts r sin²ψ times as much more. What is strapped along one side has a moment too, e cos ψ on
-    each link."""
+    or hoses, a link at ψ lifts r sin²ψ times as much more."""
 
     id, block, axes = "gravity_distribution", "structure", ("angle", "segment")
     link_weight_n: jax.Array = parameter("N", 0.0, -5.0, 20.0, 0.2)
@@ -313,7 +312,6 @@ class GravityDistribution(Effect):
     mode3: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.1)
     mode4: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.1)
     mode5: jax.Array = parameter("N", 0.0, -5.0, 5.0, 0.1)
-    aside_nm: jax.Array = parameter("N·m", 0.0, -0.5, 0.5, 0.005)
     of_mass: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     lifted: jax.Array = shape("1", 0.0, -0.5, 5.0, (1.0, 0.0))
 
@@ -323,9 +321,7 @@ class GravityDistribution(Effect):
 
     def load(self, memory, load, now):
         moments = _moments(now, self._weights(len(load)), tuple(x * (1 + self.lifted * x * x) for x in now.sin))
-        own = [*now.cos[:-1], 0.5 * now.cos[-1]]
-        asides = _sums([self.aside_nm] * len(own), tuple(own))
-        return tuple(x - m - a for x, m, a in zip(load, moments, asides, strict=True))
+        return tuple(x - m for x, m in zip(load, moments, strict=True))
 
     def inertia(self, memory, m, now):
         more = _inertia(now, [self.of_mass * positive(w) / GRAVITY for w in self._weights(len(m))])
