@@ -24,7 +24,7 @@ TELLING, NOTABLE = 2, 0.9
 """On how many runs, those that show most of the gap, the effects not begun from the given model yet are begun there,
 where no other explains it, and pairs; and the share, of what the best so far leaves there, that one worth going on with
 leaves at most. An effect that leaves more than that of the whole gap is no ground to add a further one to."""
-WIDE, FORMS, NEAR, NEARER = 6, 8, 4.0, 0.3
+WIDE, FORMS, NEAR, NEARER = 6, 9, 4.0, 0.3
 """How many leaders are wherever there is a gap; in all their forms, if they have no more than that; and taken further
 where they come within so many times the least loss, or leave no more than this share of the gap."""
 WELL, ANEW = 0.05, 3

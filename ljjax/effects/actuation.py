@@ -51,52 +51,36 @@ class ActuatorDelay(Effect):
 
 SHARPLY = 5.0
 """How sharply a drive comes to turn about its deadband, over that."""
-HOLDS, STICKS, NEAR = (0.01, 0.016, 0.025, 0.04, 0.06, 0.1), 0.2, (0.8, 0.87, 0.93, 0.97, 1.03, 1.07, 1.15, 1.25)
-"""Changes of the largest tension at which a search for one that sticks begins; the share from which it does; and
-shares of what was found at which it begins anew, as tensions that slip at other times are no help to one another."""
 
 
 class ActuatorDeadband(Effect):
     """Stiction of gearbox and spool eats a share s ± δ of each tension's first d newtons, each tendon with a motor of
     its own: T − s T (1 + (T/d)^p)^(−1/p), (T − d)₊ for s = 1 and a sharp edge, p → ∞. Where what turns rubs less the
-    more it is drawn, what is eaten falls as exp(−f (T/d − 1)₊). And for a share k the tension sticks where it is until
-    it is asked to change by h, and then slips to what is asked (stick-slip, and the band of a drive that ignores what
-    changes less); its derivative by h is that of the mean, half of h behind."""
+    more it is drawn, what is eaten falls as exp(−f (T/d − 1)₊)."""
 
     id, block, axes = "actuator_deadband", "actuation", ("load", "everywhere", "angle")
     share: jax.Array = parameter("1", 0.0, 0.0, 1.0, 0.5)
     difference: jax.Array = parameter("1", 0.0, -0.5, 0.5, 0.2)
-    sticks: jax.Array = parameter("1", 0.0, 0.0, 1.0, 0.5)
-    hold_n: jax.Array = shape("N", 1.0, 0.01, 50.0, HOLDS, "tension")
     band_n: jax.Array = shape("N", 1.0, 0.01, 50.0, (0.02, 0.05, 0.12), "tension")
     edge: jax.Array = shape("1", 8.0, 1.0, 8.0, (2.0, 8.0))
     fades: jax.Array = shape("1", 0.0, 0.0, 3.0, (0.5, 0.0))
     thins: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.6, 0.0))
     thins_s: jax.Array = shape("s", 2.0, 0.05, 100.0, (2.0,))
 
-    @classmethod
-    def likewise(cls, values):
-        return [{**values, "hold_n": near * values["hold_n"]} for near in NEAR if values["sticks"] > STICKS]
-
     def start(self, now):
-        none = tuple(0.0 * t for t in now.u)
-        return none, now.u, none
+        return tuple(0.0 * t for t in now.u)
 
     def actuate(self, memory, u, now):
         out, after = [], []
         shares = self.share + self.difference, self.share - self.difference
-        half = 0.5 * (self.hold_n - jax.lax.stop_gradient(self.hold_n))
-        for t, share, worked, held, way in zip(u, shares, *memory, strict=True):
+        for t, worked, share in zip(u, memory, shares, strict=True):
             turns = 0.5 + 0.5 * jnp.tanh(SHARPLY * (t / self.band_n - 1))
             mean, end = lagged(turns, worked, self.thins_s * (2 - turns), now.h)
             part = jnp.exp(-self.fades * jnp.maximum(t / self.band_n - 1, 0.0)) * (1 - self.thins * mean)
-            slips = jnp.abs(t - held) > self.hold_n
-            way = jnp.where(slips, jnp.sign(t - held), way)
-            held = jnp.where(slips, t, held)
-            x = t - share * part * bounded(t, self.band_n, self.edge) - self.sticks * (t - held + way * half)
+            x = t - share * part * bounded(t, self.band_n, self.edge)
             out.append(jnp.where(t > 0, positive(x), x))
-            after.append((end, held, way))
-        return tuple(out), tuple(zip(*after, strict=True))
+            after.append(end)
+        return tuple(out), tuple(after)
 
 
 CLIMBS, CLIMBS_AT_RAD = -0.1, (0.02, 0.05, 0.1, 0.2)
@@ -271,7 +255,7 @@ class ActuatorRipple(Effect):
     left_runout_cosine: jax.Array = shape("1", 0.0, -0.9, 0.9, (0.0,))
     right_runout_sine: jax.Array = shape("1", 0.0, -0.9, 0.9, (0.0,))
     right_runout_cosine: jax.Array = shape("1", 0.0, -0.9, 0.9, (0.0,))
-    held: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    held: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
     held_s: jax.Array = shape("s", 0.05, 0.002, 5.0, (0.05,))
 
     @classmethod

@@ -84,7 +84,12 @@ class PressureLeak(Effect):
     opens_rad: jax.Array = shape("rad", 10.0, 0.1, 1e3, (0.3,), "slip")
     chokes: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
     topped: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
-    tops_s: jax.Array = shape("s", 6.0, 0.3, 200.0, (3.0, 6.0, 10.0))
+    tops_s: jax.Array = shape("s", 6.0, 0.3, 200.0, (6.0,))
+
+    @classmethod
+    def likewise(cls, values):
+        often = (0.3, 0.45, 0.7, 1.5, 2.2, 3.3) if values["topped"] > 0.1 else ()
+        return [{**values, "tops_s": much * values["tops_s"]} for much in often]
 
     def start(self, now):
         none = 0.0 * now.vacuum

@@ -187,6 +187,8 @@ def test_a_pump_may_shut_off_and_pump_again():
     for k in (0, 50, 100, 150, 198):
         assert got[k] == pytest.approx(20.0 * (1 - 0.4 * (k + 0.5) * h / 2.0), abs=0.01)
     assert got[203] > 19.8 and got[250] == pytest.approx(18.0, abs=0.1)
+    values = {n: float(about["null"]) for n, about in kind.fields().items()}
+    assert len({x["tops_s"] for x in kind.likewise(values | {"topped": 1.0})}) == 6 and not kind.likewise(values)
     assert got[300] > 9.95 and got[349] == pytest.approx(10.0 * (1 - 0.4 * 0.495 / 2), abs=0.01)
 
 
@@ -980,28 +982,6 @@ def test_what_turns_may_rub_less_the_more_it_is_drawn():
     band, now = kind(share=1.0, band_n=2.0, edge=8.0, fades=0.5), SimpleNamespace(u=drawn, h=jnp.asarray(0.01))
     (below, above), _ = band.actuate(band.start(now), drawn, now)
     np.testing.assert_allclose((below, above), (0.0, 10 - 2 * np.exp(-2.0)), atol=2e-3)
-
-
-def test_a_tension_may_stick_until_it_is_asked_to_change_by_enough():
-    """By 2 N: of what rises and falls evenly what was last asked is held, up to 2 N off; half of it is half as far."""
-    kind: Any = REGISTRY["actuator_deadband"]
-    asked = [*np.linspace(5.0, 15.0, 201), *np.linspace(15.0, 5.0, 201)]
-    now: Any = SimpleNamespace(u=(jnp.asarray(5.0),) * 2, h=jnp.asarray(0.01))
-    held, expected, got = 5.0, [], {}
-    for x in asked:
-        held = x if abs(x - held) > 2.0 else held
-        expected.append(held)
-    for share in (1.0, 0.5):
-        band = kind(sticks=share, hold_n=2.0)
-        memory, out = band.start(now), []
-        for x in asked:
-            (left, _), memory = band.actuate(memory, (jnp.asarray(x),) * 2, now)
-            out.append(float(left))
-        got[share] = np.array(out) - asked
-    np.testing.assert_allclose(got[1.0], np.array(expected) - asked, atol=1e-9)
-    np.testing.assert_allclose(got[0.5], 0.5 * got[1.0], atol=1e-9)
-    values = {n: float(about["null"]) for n, about in kind.fields().items()} | {"sticks": 1.0, "hold_n": 2.0}
-    assert len({x["hold_n"] for x in kind.likewise(values)} | {2.0}) == 9 and not kind.likewise(values | {"sticks": 0})
 
 
 def test_grease_may_thin_while_it_is_worked_and_set_again_at_rest():
