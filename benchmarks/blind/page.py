@@ -27,7 +27,8 @@ the score of earlier seeds. This page is written by
 and holds whatever came out, failures included, as the code of {code} answered. A share of few cases is known
 roughly: the interval beside it is Wilson's, of 95 %. The simulators' shapes are a fixed set. Robots of seeds before
 this one have been opened, and where the diagnosis missed for want of a form it was added, so expect less of shapes that
-nobody here has met.
+nobody here has met: how much less, was asked of one of each cause
+([shapes that nobody had asked](../benchmarks/blind/README.md#shapes-that-nobody-had-asked)).
 
 """
 GOALS = "goal", "asked", "reached", "95 %", "cases", ""
