@@ -361,17 +361,15 @@ class NonuniformStiffness(Effect):
         return tuple(a + d * x * s for a, x, d, s in zip(alpha2, parts, modes, sides, strict=True))
 
 
-CREEP_M_S, SOFT_M = 1e-3, 0.01
-"""How fast the tip slides along an obstacle where it is held by 0.7 of its friction; and the way beyond it at which it
-pushes the same by any power."""
+CREEP_M_S = 1e-3
+"""How fast the tip slides along an obstacle where it is held by 0.7 of its friction."""
 
 
 class Contact(Effect):
     """One-sided contact, on the side the angle q_c says: an end stop k_c (q − q_c)₊ in every joint, stiffer to
     the base, or the tip, by a share g; and an obstacle beside the tip, or beside what lies a share of the body's length
-    from the base, where that is when every joint is at q_c, that pushes back with k_t times the way d beyond it, k_t d
-    (d/1 cm)^(p − 1) where it is soft, and rubs with μ times that, along the unbent body. A share w of it is also on the
-    other side, o times as far away, as in a tube."""
+    from the base, where that is when every joint is at q_c, that pushes back with k_t times the way beyond it and rubs
+    with μ times that, along the unbent body."""
 
     id, block, axes = "contact", "structure", ("angle",)
     sudden = True
@@ -381,9 +379,6 @@ class Contact(Effect):
     rough: jax.Array = shape("1", 0.4, 0.0, 2.0, (0.4,))
     share: jax.Array = shape("1", 1.0, 0.1, 1.0, (0.5, 1.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
-    power: jax.Array = shape("1", 1.0, 0.7, 4.0, (2.0, 1.0))
-    both: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
-    other: jax.Array = shape("1", 1.0, 0.2, 5.0, (1.0,))
 
     def torque(self, memory, i, q, v, stage):
         side = jnp.where(self.angle_rad < 0, -1.0 + 0.0 * q, 1.0 + 0.0 * q)
@@ -397,11 +392,9 @@ class Contact(Effect):
         across, along = _sums(links, now.sin), _sums(links, now.cos)
         at = sum(x * jnp.sin((i + 1) * self.angle_rad) for i, x in enumerate(links))
         side = jnp.where(self.angle_rad < 0, -1.0 + 0.0 * at, 1.0 + 0.0 * at)
-        near, far = (positive(side * (across[0] - at)), positive(-side * (across[0] + self.other * at)))
-        near, far = (d * power(d, SOFT_M, self.power - 1) for d in (near, far))
-        force, far = self.obstacle * (near - self.both * far), self.obstacle * (near + self.both * far)
+        force = self.obstacle * positive(side * (across[0] - at))
         slides = sum(a * v for a, v in zip(across, now.v, strict=True))
-        return side * force, along, self.rough * far / jnp.sqrt(slides * slides + CREEP_M_S**2), across
+        return side * force, along, self.rough * force / jnp.sqrt(slides * slides + CREEP_M_S**2), across
 
     def load(self, memory, load, now):
         force, along, rubs, across = self._obstacle(now)

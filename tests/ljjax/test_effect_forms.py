@@ -742,26 +742,6 @@ def test_tendons_may_press_from_some_load_on():
         assert float(phi) == pytest.approx(10.0 + more)
 
 
-def test_an_obstacle_may_be_soft_and_on_both_sides(robot):
-    """p = 2: at 2 cm beyond it four times as much as at 1 cm; the other wall, twice as far, pushes the other way."""
-    kind: Any = REGISTRY["contact"]
-    model = robot(1)
-    length = float(model.chain.half_length_m)
-    tube = kind(obstacle=100.0, angle_rad=0.2, power=2.0, both=1.0, other=2.0, rough=0.0)
-
-    def push(off_m: float) -> float:
-        sine = off_m / length
-        now: Any = SimpleNamespace(
-            model=model, sin=(jnp.asarray(sine),), cos=(jnp.asarray(1.0),), v=(jnp.zeros(()),), h=jnp.asarray(0.01)
-        )
-        return -float(tube.load((), (jnp.zeros(()),), now)[0]) / length
-
-    wall = length * np.sin(0.2)
-    assert push(wall + 0.01) == pytest.approx(1.0, rel=1e-3) and push(wall + 0.02) == pytest.approx(4.0, rel=1e-3)
-    assert push(-1.9 * wall) == push(0.9 * wall) == 0.0
-    assert push(-2 * wall - 0.01) == pytest.approx(-1.0, rel=1e-3)
-
-
 def test_layers_rub_more_the_more_they_are_bent():
     """hφ|q| against the motion, turning round within x₀."""
     kind: Any = REGISTRY["layer_hysteresis"]
