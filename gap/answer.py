@@ -59,7 +59,7 @@ def answer(inquiry: Inquiry) -> Diagnosis:
         base=_file(inquiry, base),
         model=_file(inquiry, chosen),
         runs=setting.runs,
-        roles=[role_of(r, setting.train, setting.test) for r in setting.runs],
+        roles=[role_of(r, setting.train) for r in setting.runs],
         said=setting.said,
         evidence=inquiry.evidence,
         warnings=[

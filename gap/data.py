@@ -55,8 +55,6 @@ def span(motions: Sequence[Motion]) -> dict[str, float]:
     }
 
 
-def role_of(run: Run, train: Sequence[Motion], test: Sequence[Motion]) -> str:
-    """What a run was used for."""
-    if any(m.run is run for m in train):
-        return "train"
-    return "held_out" if any(m.run is run for m in test) else "left out"
+def role_of(run: Run, train: Sequence[Motion]) -> str:
+    """Whether a run was fitted (`train`) or kept from every fit (`held_out`), those among them that say nothing."""
+    return "train" if any(m.run is run for m in train) else "held_out"

@@ -77,7 +77,7 @@ def plan(name: str, tension: float, pressure: float) -> list[dict[str, Any]]:
     return [{"protocol": protocol, "name": name, **size, **rest}]
 
 
-def planned(study: Study, name: str, what: tuple[str, np.ndarray, np.ndarray]) -> Motion:
+def planned(study: Study, what: tuple[str, np.ndarray, np.ndarray]) -> Motion:
     """A run of an experiment that has not been done: nothing measured, the robot at rest before it."""
     from dataclasses import replace
 
@@ -113,7 +113,7 @@ def next_experiment(study: Study, rivals: Sequence[Refit], names: Sequence[str])
     if len(rivals) < 2:
         return None
     plans = protocols(study.span["tension"], study.pressure)
-    motions = [planned(study, name, what) for name, what in plans.items()]
+    motions = [planned(study, what) for what in plans.values()]
     first, second = (e.predicted for e in study.predict(rivals[:2], motions))
     sizes = np.bincount(np.repeat(np.arange(len(motions)), [len(m.t) for m in motions]))
     edges = np.cumsum([0, *sizes])

@@ -14,11 +14,10 @@ from matplotlib.figure import Figure
 
 from ljjax import page
 from ljjax.gap.result import LAST, Diagnosis, Finding
-from ljjax.gap.static_figures import BASE_COLOUR, plain
-from ljjax.gap.story import Course, Step, percent
+from ljjax.gap.static_figures import BASE_COLOUR, MEASURED, PALE, plain
+from ljjax.gap.story import Course, percent
 from ljjax.page import ACCENT, INK, MUTED, axes, legend, panels
 
-MEASURED, PALE, BETTER = "#c9d2db", "#9fb6c6", "#1b7f4b"
 NAMES = {"given": "given model", "base": "base refitted", "extended": "with the effects"}
 COLOURS = {"given": MUTED, "base": BASE_COLOUR, "extended": ACCENT}
 WAYS = {1.0: "away from straight", -1.0: "back to straight", 0.0: "at rest"}
@@ -29,8 +28,6 @@ FEW = 5
 """Fewer samples than this in a cell are not drawn."""
 LONG = 3000
 """Beyond so many samples rough lines are pixels."""
-BESIDE = 3.0
-"""A step more than this many times the next is cut in the waterfall."""
 
 
 def _rows(count: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
@@ -240,48 +237,3 @@ def overlay(c: Course, models: Sequence[str]) -> Figure:
 
 
 # --- the way it closes
-
-
-def waterfall(steps: Sequence[Step], floor: float) -> Figure:
-    """RMS error [deg] of unseen runs at each step, the fall from the one before it, and what is left over the noise."""
-    level = np.degrees([s.test for s in steps])
-    floor = float(np.degrees(floor))
-    names = [s.what for s in steps]
-    later = float(max(level[1:])) if len(level) > 1 else float(level[0])
-    edge = BESIDE * later if level[0] > BESIDE * later else 1.22 * float(max(level))
-    figure, ax = axes(height=1.4 + 0.48 * (len(steps) + 2))
-    ax.barh(0, min(level[0], edge), 0.6, color=PALE)
-    _cut(ax, 0, level[0], edge)
-    for k in range(1, len(level)):
-        better = level[k] <= level[k - 1]
-        a, b = sorted((min(level[k - 1], edge), min(level[k], edge)))
-        colour = (BASE_COLOUR if k == 1 else ACCENT) if better else "#b3364a"
-        ax.barh(k, b - a, 0.6, left=a, color=colour)
-        gone = level[k] ** 2 - level[k - 1] ** 2
-        before = level[k - 1] ** 2 - floor**2
-        share = f" ({100 * gone / before:+.0f} %)".replace("-", "−") if before > 0 else ""
-        ax.text(b + 0.012 * edge, k, f"→ {level[k]:.3g}°{share}", va="center", fontsize=9.5)
-    last = len(level)
-    a, b = sorted((min(level[-1], edge), floor))
-    ax.barh(last, b - a, 0.6, left=a, color="white", edgecolor=MUTED, hatch="///", lw=0.8)
-    ax.text(b + 0.012 * edge, last, f"{max(level[-1] - floor, 0.0):.2g}°", va="center", fontsize=9.5)
-    ax.barh(last + 1, floor, 0.6, color=MEASURED)
-    ax.text(floor + 0.012 * edge, last + 1, f"{floor:.3g}°", va="center", fontsize=9.5)
-    for k in range(last + 1):  # each bar begins where the one before it ends
-        x = min(level[k], edge) if k < last else floor
-        ax.plot([x, x], [k - 0.3, k + 1.3], color=INK, lw=0.8, ls=":")
-    ax.set_yticks(range(last + 2), [*names, "not explained", "noise floor"])
-    ax.invert_yaxis()
-    ax.set(xlabel="RMS error on runs that no fit has seen [deg]", xlim=(0, edge * 1.02))
-    ax.grid(False, axis="y")
-    return figure
-
-
-def _cut(ax: Axes, row: float, value: float, edge: float) -> None:
-    """The number of the first bar, marked where the bar goes on beyond the picture."""
-    if value <= edge:
-        ax.text(value + 0.012 * edge, row, f"{value:.3g}°", va="center", fontsize=9.5)
-    else:
-        ax.text(
-            0.98 * edge, row, f"{value:.3g}°  »", va="center", ha="right", fontsize=10, fontweight="bold", color=INK
-        )

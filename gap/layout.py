@@ -1,11 +1,12 @@
-"""A Foxglove layout for result.mcap: measured shape beside the model's, what is left, tensions and pressure."""
+"""A Foxglove layout for result.mcap: measured shape (at rest tension and probe) beside the model's, what is left,
+tensions and pressure."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ljjax.logs import Run
+from ljjax.logs import Run, Signal
 
 MEASURED, MODEL, LEFT, LEFT_TENDON, RIGHT_TENDON, PRESSURE = (
     "#9aa7b4",
@@ -15,12 +16,14 @@ MEASURED, MODEL, LEFT, LEFT_TENDON, RIGHT_TENDON, PRESSURE = (
     "#8250a0",
     "#b3364a",
 )
-SHARES = {"Plot!shape": 40, "Plot!residual": 22, "Plot!tension": 20, "Plot!pressure": 18}
-"""Panels from above to below, and their share of the height [%]."""
+SHARES = {"Plot!shape": 40, "Plot!residual": 22, "Plot!probe": 22, "Plot!tension": 20, "Plot!pressure": 18}
+"""Panels from above to below, and their shares of the height."""
 
 
-def layout(runs: Sequence[Run]) -> dict[str, Any]:
-    """The layout, as JSON holds it, for result.mcap of these runs. Samples are placed at their `header.stamp`."""
+def layout(runs: Sequence[Run], overlays: Sequence[Mapping[str, Mapping[str, Signal]]] = ()) -> dict[str, Any]:
+    """The layout, as JSON holds it, for result.mcap of these runs, with what is written of a model beside each
+    (`/sim`, `/residual`: signals by name). Samples are placed at their `header.stamp`."""
+    told = {name for of in overlays for name in of.get("/sim", {})} or {"shape"}
     joints = max((r.signals["shape"].value.shape[1] for r in runs if "shape" in r.signals), default=1)
     names = ["θ"] if joints == 1 else [f"q{k + 1}" for k in range(joints)]
 
@@ -35,26 +38,43 @@ def layout(runs: Sequence[Run]) -> dict[str, Any]:
         for k, (side, colour) in enumerate((("left", LEFT_TENDON), ("right", RIGHT_TENDON)))
         for topic, what, width in (("/real/cmd/tendons", "commanded", 1.0), ("/real/tendons", "measured", 2.0))
     ]
+    if "tendons" in told:
+        tensions.insert(0, _path("/sim/tendons.effort[0]", "left model", MODEL, 2.0))
+    shapes, left = angles("/real/shape", "measured", MEASURED), angles("/residual/shape", "left", LEFT)
+    if "shape" in told:
+        shapes += angles("/sim/shape", "model", MODEL)
+    else:
+        left = [_path(f"/residual/{name}.effort[0]", f"{name} left", LEFT, 2.0) for name in ("tendons", "probe")]
     pressures = [
         _path("/real/cmd/pressure.fluid_pressure", "commanded", MEASURED, 1.0),
         _path("/real/pressure.fluid_pressure", "measured", PRESSURE, 2.0),
     ]
     panels = {
         "Plot!shape": _plot(
-            "Shape: measured, and of the selected model",
+            "Shape: measured, and of the selected model" if "shape" in told else "Shape",
             "[deg]",
-            [*angles("/real/shape", "measured", MEASURED), *angles("/sim/shape", "model", MODEL)],
+            shapes,
         ),
-        "Plot!residual": _plot("Measured − model", "[deg]", angles("/residual/shape", "left", LEFT)),
+        "Plot!residual": _plot("Measured − model", "[deg]" if "shape" in told else "[N]", left),
+        "Plot!probe": _plot(
+            "Force on the probe",
+            "[N]",
+            [
+                _path("/real/probe.effort[0]", "measured", MEASURED, 2.0),
+                _path("/sim/probe.effort[0]", "model", MODEL, 1.5),
+            ],
+        ),
         "Plot!tension": _plot("Tendon tension", "[N]", tensions),
         "Plot!pressure": _plot("Absolute line pressure", "[Pa]", pressures),
     }
+    if "probe" not in told:
+        del panels["Plot!probe"]
     return {
         "configById": panels,
         "globalVariables": {},
         "userNodes": {},
         "playbackConfig": {"speed": 1},
-        "layout": _stack(SHARES),
+        "layout": _stack({name: SHARES[name] for name in panels}),
     }
 
 

@@ -12,7 +12,7 @@ from ljjax import page
 from ljjax.fit.session import by_start
 from ljjax.gap import figures
 from ljjax.gap.result import LAST, Diagnosis, Region
-from ljjax.gap.static_figures import plain
+from ljjax.gap.static_figures import FALLS, plain, waterfall
 from ljjax.gap.story import Course, Story, assumed, cards, degrees, headline, percent
 from ljjax.model import get
 from ljjax.page import estimate, number
@@ -26,7 +26,7 @@ def report(story: Any, result: Diagnosis, data: Mapping[str, Any]) -> str:
     """The page, from the result and its gap.json content. It loads nothing from anywhere."""
     robots = ", ".join(sorted({r.robot_id for r in result.runs if r.robot_id})) or "Robot"
     samples = sum(len(c.t) for c in story.courses)
-    unseen = len(result.gap.held_out_runs)
+    unseen = sum(c.held_out for c in story.courses)
     subtitle = (
         f"Where model and robot part, and why: from {samples:,} samples of {len(story.courses)} moving runs, {unseen} "
         f"of them kept from every fit, ljjax {data['version']}"
@@ -59,7 +59,7 @@ def report(story: Any, result: Diagnosis, data: Mapping[str, Any]) -> str:
         "<h2>What was assumed</h2>",
         *_assumed(result),
         "<h2>Made from</h2>",
-        _inputs(story, result, data),
+        _inputs(story, data),
     ]
     return page.page(f"{robots}: the gap between model and robot", subtitle, parts)
 
@@ -217,16 +217,14 @@ def _overlay(c: Course, shown: Sequence[str]) -> str:
 
 
 def _closing(story: Story, result: Diagnosis) -> list[str]:
-    caption = (
-        "Each bar begins where the one above it ends. In brackets: change of the squared error beyond the noise. "
-        "Hatched: what stays over the noise."
-    )
-    picture = figures.waterfall(story.steps, result.gap.noise_floor)
+    names, level = [s.what for s in story.steps], [float(np.degrees(s.test)) for s in story.steps]
+    floor = float(np.degrees(result.gap.noise_floor))
+    picture = waterfall(names, level, floor, "°", "RMS error on runs that no fit has seen")
     rows = [[escape(s.what), degrees(s.train), degrees(s.test)] for s in story.steps]
     fitted = float(np.sqrt(np.mean(story.setting.study.noise**2)))
     rows.append(["noise floor", degrees(fitted), degrees(result.gap.noise_floor)])
     table = page.table(["RMS error", "runs fitted", "runs not fitted"], rows, numeric=(1, 2))
-    return [page.figure(picture, "From error to noise", caption), f"<div>{table}</div>"]
+    return [page.figure(picture, "From error to noise", FALLS), f"<div>{table}</div>"]
 
 
 def _left_out(result: Diagnosis) -> str:
@@ -326,8 +324,7 @@ def _assumed(result: Diagnosis) -> list[str]:
     return [_list([*assumed(result), *out]), _folded("What each log gave", _list(each)) if each else ""]
 
 
-def _inputs(story: Story, result: Diagnosis, data: Mapping[str, Any]) -> str:
-    said = {"train": "fitted", "held_out": "not fitted", "left out": "left out"}
+def _inputs(story: Story, data: Mapping[str, Any]) -> str:
     before = {c.run_id: (c.error("base"), c.error("extended")) for c in story.courses}
     rows = []
     for x in data["inputs"]:
@@ -336,7 +333,8 @@ def _inputs(story: Story, result: Diagnosis, data: Mapping[str, Any]) -> str:
             f'<span style="white-space:nowrap">{escape(x["run_id"])}</span>',
             f"<code>{escape(x['file'])}</code>",
         )
-        cells = [name, said.get(x["role"], escape(x["role"])), *errors[: 2 if story.extended else 1]]
+        role = "fitted" if x["role"] == "train" else "not fitted" if x["run_id"] in before else "left out"
+        cells = [name, role, *errors[: 2 if story.extended else 1]]
         rows.append([*cells, file, f"<code>{x['sha256'][:16]}…</code>"])
     heads = ["run", "role", "base error", *(["with the effects"] if story.extended else []), "file", "sha256"]
     return page.table(heads, rows, numeric=(2, 3) if story.extended else (2,))

@@ -106,7 +106,7 @@ class Diagnosis:
         minimum_detectable: effect → parameter, value, unit: the smallest these data could show.
         next_experiment: protocol, separates, expected_separation, why; None where nothing is left to part.
         base, model: the base refitted, without and with the selected effects.
-        runs, roles: the logs, and `train` or `held_out` for each.
+        runs, roles: the logs, and for each `train`, if it was fitted, or `held_out`.
         said, warnings: what each log gave; what a reader must know.
         evidence: what the probabilities of moving runs rest on; None for steady ones.
         seed, options: what was asked for.
@@ -176,7 +176,9 @@ class Diagnosis:
             (made / "base.toml").write_text(modelfile.dumps(self.base, f"base refitted, {note}"), encoding="utf-8")
             (made / "report.html").write_text(self.report(data), encoding="utf-8")
             copy_overlay(self.runs, made / "result.mcap", self.overlays)
-            (made / "foxglove.json").write_text(json.dumps(layout(self.runs), indent=1) + "\n", encoding="utf-8")
+            (made / "foxglove.json").write_text(
+                json.dumps(layout(self.runs, self.overlays), indent=1) + "\n", encoding="utf-8"
+            )
 
     def report(self, data: Mapping[str, Any]) -> str:
         """The page, from the result and its gap.json content."""

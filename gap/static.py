@@ -19,7 +19,7 @@ from ljjax.fit.static import PARAMETERS, StaticFit, fit_static
 from ljjax.gap import static_answer as answer
 from ljjax.gap.result import Diagnosis
 from ljjax.gap.static_cells import Data
-from ljjax.gap.static_runs import Apart, sort
+from ljjax.gap.static_runs import sort
 from ljjax.gap.static_search import refine
 from ljjax.gap.static_stage import LEAST_LEVELS, MOST, Channel, Errors, block, search
 from ljjax.gap.statics import Laws
@@ -127,4 +127,4 @@ def _channels(
     return out, x, active
 
 
-__all__ = ["Apart", "diagnose_static"]
+__all__ = ["diagnose_static"]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
+from ljjax.fit.points import Points
 from ljjax.fit.static import StaticFit
 from ljjax.gap import static_next as following
 from ljjax.gap.result import LAST, Diagnosis, Finding, Gap, Region
@@ -17,6 +18,7 @@ from ljjax.gap.static_search import LEVEL, Candidate, equivalent
 from ljjax.gap.static_stage import Channel, probabilities
 from ljjax.gap.static_words import beware, closing
 from ljjax.gap.statics import Laws
+from ljjax.gap.where import concentration
 from ljjax.logs import Run, Signal
 from ljjax.model import Model, get
 from ljjax.modelfile import ModelFile
@@ -43,7 +45,6 @@ class Found:
     channels: Sequence[Channel]
     apart: Sequence[Apart]
     seed: int
-    left: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def selected(self) -> list[str]:
@@ -95,12 +96,12 @@ def diagnosis(
     return Diagnosis(
         verdict=verdict,
         gap=_gap(found, main, runs),
-        where=_where(main, found),
+        where=[] if verdict in ("no_gap", "parameters_only") else _where(main, found),
         effects=findings,
         selected=found.selected,
         equivalent=alike,
         minimum_detectable=smallest,
-        next_experiment=following.next_experiment(found.laws, found.channels, known),
+        next_experiment=following.next_experiment(found.laws, found.channels),
         base=base,
         model=file,
         runs=runs,
@@ -164,10 +165,9 @@ def _candidate(found: Found, effect: str) -> tuple[Channel, Candidate] | None:
         for i, c in enumerate(found.channels)
         if effect in c.rounds[0].found
     ]
-    for i, c in enumerate(found.channels):
+    for c in found.channels:
         if effect in c.added:
             return c, c.rounds[min(c.added.index(effect), len(c.rounds) - 1)].found[effect]
-        del i
     if not seen:
         return None
     c = found.channels[max(seen)[1]]
@@ -218,18 +218,17 @@ def _gap(found: Found, c: Channel, runs: Sequence[Run]) -> Gap:
 
 
 def _where(c: Channel, found: Found) -> list[Region]:
-    """Shares of the base model's squared error at left-out pressures along the axis on which the effect lies, or on
-    which the error is most uneven where there is none."""
+    """Shares of the base model's squared error at left-out pressures along the axis on which the effect lies; where
+    there is none, along that on which the error is most uneven, pressure (of what jams) or angle (of what bends)."""
     e = np.where(np.isfinite(c.base.left_out), c.base.left_out, 0.0)
     square, p, levels = e**2, c.points, c.points.levels
     total = float(square.sum()) or 1.0
     kind = found.laws.kinds.get(c.added[0]) if c.added else None
-    block, channel = (kind.block if kind else "structure"), CHANNEL[c.kind]
-    bent = np.ptp(p.theta) > 1e-6
-    axes = [
-        a for a in (kind.axes if kind else ("pressure",)) if a in ("pressure", "everywhere") or (a == "angle" and bent)
-    ]
+    bent, channel = np.ptp(p.theta) > 1e-6, CHANNEL[c.kind]
+    known = kind.axes if kind else _loudest(p, e)
+    axes = [a for a in known if a in ("pressure", "everywhere") or (a == "angle" and bent)]
     axis = axes[0] if axes else "pressure"
+    block = kind.block if kind else {"pressure": "jamming", "angle": "structure"}[axis]
     if axis == "everywhere":
         even = float(np.mean(c.base.error) ** 2 / max(np.mean(c.base.error**2), 1e-300))
         return [
@@ -249,6 +248,12 @@ def _where(c: Channel, found: Found) -> list[Region]:
             ends = (float(edges[k]), float(edges[k + 1]))
             out.append(Region(block, channel, "angle", ends, "rad", _share(square, place == k, total)))
     return sorted(out, key=lambda r: -r.share)
+
+
+def _loudest(p: Points, error: np.ndarray) -> list[str]:
+    """Pressure and angle, first the axis along which the error (n,) is the more uneven."""
+    along = {"pressure": p.pressure_kpa, "angle": p.theta}
+    return sorted(along, key=lambda a: -concentration(along[a], error[:, None]))
 
 
 def _share(square: np.ndarray, mine: np.ndarray, total: float) -> float:

@@ -17,6 +17,14 @@ from ljjax.gap.static_stage import Channel
 from ljjax.page import ACCENT, GRID, INK, MUTED, axes, legend
 
 BASE_COLOUR = "#c77700"
+MEASURED, PALE = "#c9d2db", "#9fb6c6"
+BESIDE = 3.0
+"""A step more than this many times the next is cut in the waterfall."""
+FALLS = (
+    "Each bar begins where the one above it ends. In brackets: change of the squared error beyond the noise. Hatched: "
+    "what stays over the noise."
+)
+"""What a waterfall shows."""
 
 
 def plain(name: str) -> str:
@@ -108,7 +116,7 @@ def ranking(result: Diagnosis) -> Figure:
     first = [f for f in result.effects if f.probability >= 5e-3][:10] or list(result.effects[:5])
     figure, ax = axes(height=1.2 + 0.36 * len(first))
     at = np.arange(len(first))
-    colour = [ACCENT if f.id in result.selected else (MUTED if f.id in LAST else "#9fb6c6") for f in first]
+    colour = [ACCENT if f.id in result.selected else (MUTED if f.id in LAST else PALE) for f in first]
     bars = ax.barh(at, [f.probability for f in first], 0.66, color=colour)
     ax.bar_label(bars, [f"{100 * f.probability:.0f} %" for f in first], padding=3, fontsize=10, color=INK)
     ax.set_yticks(at, [plain(f.id) for f in first])
@@ -130,6 +138,21 @@ def where(c: Channel) -> Figure:
     figure.colorbar(drawn, ax=ax, label=f"measured − base model [{c.unit}]")
     ax.set(xlabel="vacuum left out [kPa]", ylabel="mean segment angle θ [deg]")
     return figure
+
+
+def closing(c: Channel) -> Figure:
+    """The RMS error at inner pressures left out, from the given model over the base refitted to each effect found on
+    these points, down to their scatter."""
+    level = [float(np.sqrt(np.mean(c.given[c.inner] ** 2))), c.base.rms(c.inner)]
+    inside = np.unique(c.points.levels[c.inner])
+    by = np.bincount(c.points.levels)[inside]
+    for r in c.rounds[1 : len(c.added)]:  # squares of the levels left out, in units of the scatter's
+        level.append(c.noise * float(np.sqrt(np.average(r.none.left_out[inside], weights=by))))
+    if c.added:
+        level.append(c.model.rms(c.inner))
+    names = ["given model", "base refitted", *(f"+ {plain(e)}" for e in c.added)]
+    where = "inner pressures left out" if not c.inner.all() else "pressures left out"
+    return waterfall(names, level, c.noise, f" {c.unit}", f"RMS error at {where}")
 
 
 def leftover(c: Channel) -> Figure:
@@ -173,3 +196,45 @@ def _line(ax: Axes, x: np.ndarray, y: np.ndarray, colour: Any, label: str) -> No
     ax.annotate(
         label.split(", ")[-1], (x[order][-1], y[order][-1]), xytext=(4, 4), textcoords="offset points", fontsize=9
     )
+
+
+def waterfall(names: Sequence[str], level: Sequence[float], floor: float, unit: str, axis: str) -> Figure:
+    """The error at each named step, the fall from the one before it, and what is left over the noise `floor`, all in
+    `unit`; `axis` says what error."""
+    later = float(max(level[1:])) if len(level) > 1 else float(level[0])
+    edge = BESIDE * later if level[0] > BESIDE * later else 1.22 * float(max(level))
+    figure, ax = axes(height=1.4 + 0.48 * (len(level) + 2))
+    ax.barh(0, min(level[0], edge), 0.6, color=PALE)
+    _cut(ax, level[0], edge, unit)
+    for k in range(1, len(level)):
+        better = level[k] <= level[k - 1]
+        a, b = sorted((min(level[k - 1], edge), min(level[k], edge)))
+        colour = (BASE_COLOUR if k == 1 else ACCENT) if better else "#b3364a"
+        ax.barh(k, b - a, 0.6, left=a, color=colour)
+        gone = level[k] ** 2 - level[k - 1] ** 2
+        before = level[k - 1] ** 2 - floor**2
+        share = f" ({100 * gone / before:+.0f} %)".replace("-", "−") if before > 0 else ""
+        ax.text(b + 0.012 * edge, k, f"→ {level[k]:.3g}{unit}{share}", va="center", fontsize=9.5)
+    last = len(level)
+    a, b = sorted((min(level[-1], edge), floor))
+    ax.barh(last, b - a, 0.6, left=a, color="white", edgecolor=MUTED, hatch="///", lw=0.8)
+    ax.text(b + 0.012 * edge, last, f"{max(level[-1] - floor, 0.0):.2g}{unit}", va="center", fontsize=9.5)
+    ax.barh(last + 1, floor, 0.6, color=MEASURED)
+    ax.text(floor + 0.012 * edge, last + 1, f"{floor:.3g}{unit}", va="center", fontsize=9.5)
+    for k in range(last + 1):  # each bar begins where the one before it ends
+        x = min(level[k], edge) if k < last else floor
+        ax.plot([x, x], [k - 0.3, k + 1.3], color=INK, lw=0.8, ls=":")
+    ax.set_yticks(range(last + 2), [*names, "not explained", "noise floor"])
+    ax.invert_yaxis()
+    ax.set(xlabel=f"{axis} [{'deg' if unit == '°' else unit.strip()}]", xlim=(0, edge * 1.02))
+    ax.grid(False, axis="y")
+    return figure
+
+
+def _cut(ax: Axes, value: float, edge: float, unit: str) -> None:
+    """The number of the first bar, marked where the bar goes on beyond the picture."""
+    if value <= edge:
+        ax.text(value + 0.012 * edge, 0, f"{value:.3g}{unit}", va="center", fontsize=9.5)
+    else:
+        where = {"va": "center", "ha": "right", "fontsize": 10, "fontweight": "bold", "color": INK}
+        ax.text(0.98 * edge, 0, f"{value:.3g}{unit}  »", **where)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ljjax.fit.points import Points
-from ljjax.gap.static_cells import Cells, Data
+from ljjax.gap.static_cells import Cells
 from ljjax.gap.static_search import Candidate, Round
 from ljjax.gap.static_stage import Channel
 from ljjax.gap.statics import Laws
@@ -17,7 +17,7 @@ ABSORBED = 1e-3
 """Share of an effect's trace beyond what base parameters take up, below which nothing of it can be seen."""
 
 
-def trace(cells: Cells, data: Data) -> tuple[np.ndarray, np.ndarray]:
+def trace(cells: Cells) -> tuple[np.ndarray, np.ndarray]:
     """Per cell, the norm of a unit of its own first size beyond what the others take up, and its whole norm, in units
     of the noise."""
     own, rest = cells.x[:, :, cells.sizes[0]], np.delete(cells.x, cells.sizes, axis=2)
@@ -28,12 +28,12 @@ def trace(cells: Cells, data: Data) -> tuple[np.ndarray, np.ndarray]:
     return np.linalg.norm(left, axis=1), np.linalg.norm(own, axis=1)
 
 
-def absorbed(found: Round, data: Data) -> list[str]:
+def absorbed(found: Round) -> list[str]:
     """Effects that change what is measured, but only as base parameters do."""
     out = []
     for effect, cells in found.cells.items():
         if effect:
-            beyond, whole = trace(cells, data)
+            beyond, whole = trace(cells)
             if np.all(beyond <= ABSORBED * np.maximum(whole, 1e-12)):
                 out.append(effect)
     return out
@@ -50,7 +50,7 @@ def detectable(laws: Laws, channel: Channel) -> dict[str, dict[str, Any]]:
             continue
         penalty = 0.5 * len(cells.own) * np.log(sum(b.independent for b in data.blocks))
         needed = len(data.y) * (1 + misfit) * np.expm1(2 * (max(last.threshold, 0.0) + penalty) / n)
-        beyond, whole = trace(cells, data)
+        beyond, whole = trace(cells)
         name = cells.own[0]
         about = laws.about[name]
         if np.all(beyond <= ABSORBED * np.maximum(whole, 1e-12)):
@@ -108,9 +108,7 @@ def plan(points: Points) -> list[dict[str, Any]]:
     return [{"protocol": "probe_press", "angle_deg": angle, "vacuums_kpa": vacuums} for angle in angles]
 
 
-def next_experiment(
-    laws: Laws, channels: Sequence[Channel], probabilities: Mapping[str, float]
-) -> dict[str, Any] | None:
+def next_experiment(laws: Laws, channels: Sequence[Channel]) -> dict[str, Any] | None:
     """The measurement on which the two leading explanations differ most, in units of the scatter."""
     pairs: list[tuple[float, Candidate, Candidate]] = []
     for channel in channels:

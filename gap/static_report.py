@@ -30,13 +30,14 @@ def report(story: Any, result: Diagnosis, data: Mapping[str, Any]) -> str:
     parts += [page.beware(left)]
     parts += ["<h2>How large the gap is, and where it lies</h2>", '<div class="grid">', *_gap(story), "</div>"]
     parts += ["<h2>What causes it</h2>", '<div class="grid">', *_cause(story, result), "</div>"]
+    parts += ["<h2>How far it closes</h2>", '<div class="grid">', *_closing(story), "</div>"]
     parts += ["<h2>The effects in numbers</h2>", _selected(result), "<h2>All candidates</h2>", _effects(story, result)]
     parts += ["<h2>What stays unexplained</h2>", _list(unexplained(story))]
     parts += ['<div class="grid">', *_left(story), "</div>"]
     parts += ["<h2>What these data cannot tell apart</h2>", _list(_confused(story, result))]
     parts += ["<h2>What to measure next</h2>", _next(result)]
     parts += ["<h2>The smallest effects these data could show</h2>", _smallest(result)]
-    parts += ["<h2>What was assumed</h2>", _list(_assumed(story)), "<h2>Made from</h2>", _inputs(result, data)]
+    parts += ["<h2>What was assumed</h2>", _list(_assumed(story)), "<h2>Made from</h2>", _inputs(data)]
     return page.page(f"{robots}: the gap at rest", subtitle, parts)
 
 
@@ -118,6 +119,13 @@ def _cause(story: Any, result: Diagnosis) -> list[str]:
     return out
 
 
+def _closing(story: Any) -> list[str]:
+    return [
+        page.figure(figures.closing(c), f"From error to scatter, {NAMES[c.kind]}", figures.FALLS)
+        for c in story.channels
+    ]
+
+
 def _left(story: Any) -> list[str]:
     out = []
     for c in story.channels:
@@ -151,7 +159,7 @@ def _selected(result: Diagnosis) -> str:
 def _effects(story: Any, result: Diagnosis) -> str:
     unseen = [set(c.rounds[0].unseen) for c in story.channels]
     nowhere = set.intersection(*unseen) if unseen else set()
-    gone = [set(absorbed(c.rounds[0], c.data)) for c in story.channels]
+    gone = [set(absorbed(c.rounds[0])) for c in story.channels]
     rows = []
     for f in result.effects:
         if f.id in nowhere or f.id in LAST:
@@ -177,7 +185,7 @@ def _effects(story: Any, result: Diagnosis) -> str:
 
 def _confused(story: Any, result: Diagnosis) -> list[str]:
     out = [f"{', '.join(plain(e) for e in group)}: the same change to these data" for group in result.equivalent]
-    gone = set.intersection(*(set(absorbed(c.rounds[0], c.data)) | set(c.rounds[0].unseen) for c in story.channels))
+    gone = set.intersection(*(set(absorbed(c.rounds[0])) | set(c.rounds[0].unseen) for c in story.channels))
     gone -= set.intersection(*(set(c.rounds[0].unseen) for c in story.channels))
     if gone:
         out.append(f"{', '.join(plain(e) for e in sorted(gone))}: base parameters take their whole trace up")
@@ -216,7 +224,7 @@ def _assumed(story: Any) -> list[str]:
     return out
 
 
-def _inputs(result: Diagnosis, data: Mapping[str, Any]) -> str:
+def _inputs(data: Mapping[str, Any]) -> str:
     rows = []
     for x in data["inputs"]:
         role = "fitted, each pressure left out in turn" if x["role"] == "train" else "compared only"

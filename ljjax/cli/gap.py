@@ -23,7 +23,8 @@ def command(
 ) -> None:
     """Find where a model and its robot disagree, which unmodelled effect causes it, and how far the gap closes with it.
 
-    Writes gap.json, model.toml (base refitted, effects added), base.toml (base refitted), report.html and result.mcap.
+    Writes gap.json, model.toml (base refitted, effects added), base.toml (base refitted), report.html,
+    result.mcap and foxglove.json (its layout).
     The base parameters are refitted with every candidate; the gap is measured on runs that no fit has seen.
 
     Args:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from rich.console import Console
 
 from ljjax.data import OCTROBOT
@@ -22,6 +23,7 @@ from ljjax.gap.static_runs import sort
 from ljjax.logs import Run, Signal, read_all
 from ljjax.model import replace
 from ljjax.modelfile import ModelFile, load
+from tests.gap.test_diagnose import contract
 from tests.house.readme import blocks, same
 
 P_ATM, ARM, N, HALF = 101_325.0, 0.02, 6, 0.021
@@ -141,11 +143,24 @@ def test_the_demo_prints_the_diagnosis_shown(octrobot):
 def test_it_saves_whole(octrobot, tmp_path):
     octrobot.save(tmp_path)
     data = json.loads((tmp_path / "gap.json").read_text(encoding="utf-8"))
-    assert data["schema"] == "ljjax.gap/1" and data["selected"] == list(octrobot.selected)
+    contract(data)
+    assert data["selected"] == list(octrobot.selected) and set(data["gap"]["held_out_runs"]) <= set(runs(data, "train"))
     effects = {e.id for e in load(tmp_path / "model.toml").model.effects}
     assert effects == set(octrobot.selected) and not load(tmp_path / "base.toml").model.effects
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "What stays unexplained" in page and "stiffness saturation" in page
+    assert "From error to scatter, tension at rest" in page and "From error to scatter, tip stiffness" in page
+    shown = json.loads((tmp_path / "foxglove.json").read_text(encoding="utf-8"))["configById"].values()
+    topics = {path["value"].split(".")[0] for panel in shown for path in panel["paths"]}
+    with (tmp_path / "result.mcap").open("rb") as log:
+        summary = make_reader(log).get_summary()
+    assert summary is not None
+    written = {c.topic for c in summary.channels.values() if c.topic.startswith(("/sim/", "/residual/"))}
+    assert written == {t for t in topics if t.startswith(("/sim/", "/residual/"))} and len(written) == 4
+
+
+def runs(data: dict, role: str) -> list[str]:
+    return [i["run_id"] for i in data["inputs"] if i["role"] == role]
 
 
 def test_a_bent_rest_shape_is_named_and_what_is_like_it_comes_next():
@@ -160,6 +175,14 @@ def test_no_effect_is_claimed_where_there_is_none():
     """The given model is the true one."""
     found = diagnosed(robot(), given())
     assert found.verdict == "no_gap" and found.effects[0].id == "no_gap" and found.selected == []
+    assert found.where == []
+
+
+def test_what_no_effect_explains_at_rest_is_called_unlisted():
+    """Levels that read too high and too low by turns, as no law over pressure does."""
+    found = diagnosed(robot(lambda theta, p: 3.0 * np.cos(np.pi * p / 8)), given())
+    assert found.verdict == "unlisted_effect" and found.effects[0].id == "unlisted_effect" and found.selected == []
+    assert found.where[0].axis == "pressure" and found.where[0].block == "jamming"
 
 
 def test_a_wrong_gain_is_taken_up_by_the_parameters():

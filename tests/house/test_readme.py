@@ -39,7 +39,25 @@ def test_the_log_shown_in_the_docs_can_be_written_and_fitted(tmp_path):
     assert "elastic.c2 = " in done.stdout
 
 
+def test_the_effect_shown_can_be_simulated():
+    """The outer sleeve pulls the neighbour of a segment that is pushed along with it."""
+    done = subprocess.run([sys.executable, "examples/own_effect.py"], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    without, with_it = ([float(x) for x in re.findall(r"-?\d+\.\d*", line)] for line in done.stdout.splitlines())
+    assert len(with_it) == 6 and with_it[0] < without[0] and with_it[1] > without[1]
+
+
+def anchors(path: Path) -> set[str]:
+    """What the headings of a page may be linked by."""
+    heads = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in heads}
+
+
 def test_every_link_leads_somewhere():
-    for path in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
-        for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", path.read_text(encoding="utf-8")):
-            assert (path.parent / target).exists(), f"{path.name}: {target}"
+    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "benchmarks").rglob("*.md")]
+    assert len(pages) > 10
+    for path in pages:
+        for target, anchor in re.findall(r"\]\(([^)#:]*)(?:#([^)]*))?\)", path.read_text(encoding="utf-8")):
+            to = path.parent / target if target else path
+            assert to.exists(), f"{path.name}: {target}"
+            assert not anchor or anchor in anchors(to), f"{path.name}: {target}#{anchor}"
