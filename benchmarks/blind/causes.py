@@ -236,6 +236,15 @@ def _derailed(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [float(side < 0), angle]
 
 
+def _slit(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """A joint, and the side of it."""
+    return [float(rng.integers(JOINTS)), rng.choice([-1.0, 1.0])]
+
+
+def _side(rng: np.random.Generator, setting: Setting) -> list[float]:
+    return [rng.choice([-1.0, 1.0])]
+
+
 def _which(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [float(rng.integers(2))]
 
@@ -307,6 +316,7 @@ LISTED = (
             Shape(0.05, 0.5, _none),
             Shape(0.05, 0.5, _between((800, 3000))),
             Shape(0.05, 0.5, _between((0.2, 0.45)), ("rate",)),
+            Shape(0.05, 0.5, _between((4, 15)), ("run", "time")),
         ),
     ),
     Cause(
@@ -318,6 +328,7 @@ LISTED = (
             Shape(0.3, 6, _between((0.05, 0.3))),
             Shape(0.5, 8, _between((100, 400)), ("run", "time")),
             Shape(0.1, 1.5, _none),
+            Shape(0.5, 8, _none, ("angle",)),
         ),
     ),
     Cause(
@@ -328,6 +339,7 @@ LISTED = (
             Shape(0.05, 0.5, _between((8, 20))),
             Shape(0.02, 0.5, _none),
             Shape(0.02, 0.5, _between((150, 700))),
+            Shape(0.05, 1.5, _between((0.25, 0.6))),
         ),
     ),
     Cause(
@@ -336,6 +348,7 @@ LISTED = (
             *_alike(0.02, 0.3, _between((0.05, 0.3), (0, 6)), _none, _seed, _sides(0.2, 0.6), _between((0, 1))),
             Shape(0.02, 0.3, _seed, ("run",)),
             Shape(0.02, 0.3, _between((2, 6), (2, 6), (0, 1))),
+            Shape(0.02, 0.3, _then(_seed, _between((2, 4)))),
         ),
     ),
     Cause(
@@ -344,6 +357,7 @@ LISTED = (
             *_alike(0.4, 5, _none, _none, _sides(0.2, 0.6), _between((0.8, 2.5)), _none),
             Shape(0.4, 5, _between((0.5, 3)), ("time",)),
             Shape(0.4, 5, _none, ("direction",)),
+            Shape(0.8, 6, _between((60, 300)), ("run", "time")),
         ),
     ),
     Cause(
@@ -353,6 +367,7 @@ LISTED = (
             Shape(0.05, 0.5, _then(_sides(-0.4, 0.4), _between((2, 8))), ("time",)),
             Shape(0.05, 0.5, _climbed),
             Shape(0.1, 0.6, _then(_sides(-0.4, 0.4), _between((4, 15)), _peak), ("time",)),
+            Shape(0.05, 0.5, _seed, ("run",)),
         ),
         signed=True,
     ),
@@ -361,6 +376,7 @@ LISTED = (
         (
             *_alike(0.3, 4, *[_ripple] * 4, _then(_ripple, _between((0.2, 0.45))), _ripple),
             Shape(0.3, 4, _then(_ripple, _between((0.05, 0.3))), ("rate",)),
+            Shape(0.3, 4, _then(_ripple, _seed)),
         ),
     ),
     Cause(
@@ -372,6 +388,7 @@ LISTED = (
             Shape(0.3, 0.8, _then(_peak, _between((0.05, 0.15))), ("rate",)),
             Shape(0.2, 0.8, _then(_peak, _between((0.2, 0.8)))),
             Shape(0.3, 0.8, _then(_peak, _between((0.2, 1))), ("time", "direction")),
+            Shape(0.3, 0.8, _then(_peak, _between((0.55, 0.85))), ("direction",)),
         ),
     ),
     Cause(
@@ -381,6 +398,7 @@ LISTED = (
             *_alike(0.3, 4, *[_between((0.4, 2.5))] * 4),
             Shape(0.15, 3, _between((0.25, 0.6))),
             Shape(0.05, 4, _between((3, 8))),
+            Shape(0.1, 2, _between((0.4, 1.5))),
         ),
     ),
     Cause(
@@ -393,6 +411,7 @@ LISTED = (
             Shape(0.3, 0.95, _between((150, 500)), ("run",)),
             Shape(1, 10, _break, ("run",)),
             Shape(0.3, 0.95, _between((2.5, 7))),
+            Shape(1, 15, _slit, ("angle",)),
         ),
     ),
     Cause(
@@ -403,6 +422,7 @@ LISTED = (
             Shape(1, 8, _none, ("run", "time")),
             Shape(1, 8, _between((3, 10)), ("time",)),
             Shape(1, 8, _between((1, 4)), ("direction", "time")),
+            Shape(1, 8, _none),
         ),
         signed=True,
     ),
@@ -414,6 +434,7 @@ LISTED = (
             Shape(0.2, 0.85, _none),
             Shape(3, 30, _none),
             Shape(0.3, 1, _between((4, 10)), ("direction", "time")),
+            Shape(0.3, 1, _between((14, 24))),
         ),
     ),
     Cause(
@@ -423,6 +444,7 @@ LISTED = (
             *_alike(0.3, 1, _between((1.5, 6)), _between((2, 7)), _between((5, 12)), _between((4, 12))),
             Shape(0.3, 1, _between((12, 22))),
             Shape(0.3, 1, _between((0.03, 0.3))),
+            Shape(0.3, 1, _between((2, 7)), ("direction", "time")),
         ),
     ),
     Cause(
@@ -435,6 +457,7 @@ LISTED = (
             Shape(0.02, 0.3, _between((0.02, 0.06))),
             Shape(0.02, 0.3, _between((0.02, 0.06), (0.01, 0.04)), ("time", "rate")),
             Shape(0.01, 0.3, _between((0.05, 0.2)), ("segment",)),
+            Shape(0.02, 0.3, _between((0.04, 0.12)), ("pressure", "time")),
         ),
     ),
     Cause(
@@ -446,6 +469,7 @@ LISTED = (
             Shape(0.3, 0.9, _between((4, 15)), ("pressure",)),
             Shape(0.3, 0.9, _between((0.3, 1.5)), ("angle",)),
             Shape(0.3, 0.9, _between((6, 18))),
+            Shape(0.3, 0.9, _between((3, 12)), ("pressure",)),
         ),
     ),
     Cause(
@@ -553,6 +577,7 @@ LISTED = (
             Shape(0.1, 0.65, _none, ("angle",)),
             Shape(0.1, 0.65, _none, ("pressure",)),
             Shape(0.1, 0.65, _none, ("rate",)),
+            Shape(0.1, 0.65, _side, ("angle",)),
         ),
         signed=True,
     ),
@@ -565,6 +590,7 @@ LISTED = (
             Shape(0.2, 4, _none),
             Shape(0.2, 4, _between((1.5, 6)), ("time",)),
             Shape(0.2, 4, _lifted),
+            Shape(0.2, 6, _none),
         ),
     ),
     Cause(
@@ -575,6 +601,7 @@ LISTED = (
             *_alike(0.2, 2.5, _between((4, 12)), _between((4, 12))),
             Shape(0.2, 2.5, _between((40, 150))),
             Shape(0.2, 2.5, _none, ("segment",)),
+            Shape(0.2, 2.5, _none, ("rate",)),
         ),
     ),
     Cause(

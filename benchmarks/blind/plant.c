@@ -71,7 +71,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         s.breakaway[i] = form(f[ACTUATOR_DEADBAND]) == 6 ? u[i] : u[i] > f[ACTUATOR_DEADBAND][0];
         if (form(f[TENDON_SLACK]) == 6) s.slack[i][0] = sqrt(u[i]);
     }
-    s.sheath = s.line = s.feed = s.fore = s.deep = s.topped = s.packed = vacuum[0];
+    s.sheath = s.line = s.feed = s.fore = s.deep = s.topped = s.packed = s.clung = vacuum[0];
     s.gauge = vacuum[0] - f[PRESSURE_BIAS][1];
     s.session = session;
     s.pressed = u[0] + u[1];
@@ -81,6 +81,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
     int settle = f[REST_CURVATURE][0] != 0 || f[BASE_TILT][0] != 0 || payload > 0 || harness;
     actuate(f, &s, u, count, 0, period, 0, r->lever);
     double h = period / substeps, half = h / 2;
+    double answers = form(f[PRESSURE_LAG]) == 7 ? f[PRESSURE_LAG][0] * f[PRESSURE_LAG][1] : 0; /* so late */
     long begin = settle ? -(long)(3.0 / h) : 0, all = (long)count * substeps;
 
     for (long step = begin; step < all; step++) {
@@ -90,6 +91,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             for (int i = 0; i < N; i++) {
                 s.v[i] = s.omega_mid[i] = s.z[i] = s.guide[i] = 0;
                 int held_there = form(f[LAYER_HYSTERESIS]) % 3 == 0 && form(f[LAYER_HYSTERESIS]) < 6;
+                if (form(f[LAYER_HYSTERESIS]) == 7) held_there = 1;
                 for (int k = 0; k < PLAYS; k++) s.play[i][k] = held_there ? s.q[i] : 0;
                 if (form(f[LAYER_HYSTERESIS]) == 5) s.play[i][1] = 60;
                 for (int k = 0; k < 4; k++) s.branch[i][k] = s.q[i];
@@ -103,11 +105,13 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             line_out[k] = s.line, warm_out[k] = c->felt;
         }
         actuate(f, &s, u, count, calm ? 0 : middle, period, h, r->lever);
-        pressurise(f, &s, held(vacuum, count, 1, calm ? 0 : middle, period), calm ? 0 : middle, calm ? 0 : h);
-        double pull[2], freed[2] = {0};
+        pressurise(f, &s, held(vacuum, count, 1, calm ? 0 : middle, period),
+                   held(vacuum, count, 1, calm ? 0 : middle - answers, period), calm ? 0 : middle, calm ? 0 : h);
+        double pull[2], freed[2] = {0}, curl = 0;
+        for (int i = 0; i < N; i++) curl += s.q[i];
         for (int i = 0; i < N && !calm; i++) freed[0] += r->lever * s.v[i], freed[1] -= r->lever * s.v[i];
         for (int i = 0; i < 2; i++)
-            pull[i] = past_slack(f[TENDON_SLACK], s.slack[i], s.tension[i], freed[i], session + fmax(t, 0), h);
+            pull[i] = past_slack(f[TENDON_SLACK], s.slack[i], s.tension[i], freed[i], session + fmax(t, 0), curl, h);
         if (f[DERAILED_TENDON][0] > 0) { /* out of its guides beyond one angle, back in them within another */
             int which = (int)f[DERAILED_TENDON][1];
             double bent = 0;
@@ -131,8 +135,10 @@ int run(const double *robot, const double *causes, double *carried, int count, c
 
         /* The pressure's laws. */
         double stiff = stiffening(f[STIFFNESS_SATURATION], P, &s.packed);
-        double phi = rubbing(r, f[FRICTION_SATURATION], P), fresh = phi;
+        double phi = rubbing(r, f[FRICTION_SATURATION], P, &s.clung), fresh = phi;
         double alpha2 = r->c3 + r->c2 * stiff + r->c1 * stiff * stiff, added = alpha2 - r->c3;
+        double viscous = r->sigma2;
+        if (form(f[THERMAL_DRIFT]) == 7) viscous *= exp(-f[THERMAL_DRIFT][0] * c->warm / 10); /* grease thins */
         if (form(f[THERMAL_DRIFT]) != 5) warmed(f[THERMAL_DRIFT], c->warm, &phi, &alpha2, &added);
         else warmed_inside(f[THERMAL_DRIFT], c, &phi, &alpha2, &added, calm ? 0 : h);
         if (f[GLUE_FAILURE][0] > 0 && session + t > f[GLUE_FAILURE][1]) alpha2 *= 1 - f[GLUE_FAILURE][0];
@@ -143,6 +149,8 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         const double *pressed = f[LOAD_DEPENDENT_FRICTION];
         if (pressed[0] > 0 && form(pressed) < 2) phi += pressed[0] * (form(pressed) ? load : pow(load + 1e-3, 0.75));
 
+        if (pressed[0] > 0 && form(pressed) == 7) /* it presses as so much more vacuum would */
+            phi += r->c5 * (sqrt(P + pressed[0] * load) - sqrt(P));
         if (pressed[0] > 0 && form(pressed) == 6) { /* guides that stand off the layers until they are pulled in */
             double over = load - pressed[1];
             phi += pressed[0] * 0.5 * (over + hypot(over, 0.5));
@@ -171,10 +179,12 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 double passes = calm ? 0 : r->lever * slide[form(t) == 1 ? 0 : i];
                 double loss = rubbed(t, guide, &s.sliding[i], s.q[i], passes, h);
                 if (form(t) == 4 && i > 0) loss = 0;
+                if (form(t) == 7) loss *= 1 - 0.85 * exp(-c->slip[i] / t[1]); /* grease is wiped out of the guides */
                 switch (form(t)) {
                 case 0: a *= 1 - loss, b *= 1 + loss; break;
                 case 4:
                 case 6:
+                case 7:
                 case 1: a *= exp(-loss), b *= exp(loss); break;
                 case 3: a *= 1 - lined(t, i, s.q[i], a) * loss, b *= 1 + lined(t, i, s.q[i], b) * loss; break;
                 default: a *= 1 - t[1] * loss, b *= 1 + t[2] * loss;
@@ -237,6 +247,9 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 case 1: phi_i[i] *= 1 + f[LAYER_WEAR][0] * expm1(-slid); break;
                 case 3: phi_i[i] *= 1 - f[LAYER_WEAR][0] / (1 + pow(slid + 1e-6, -4)); break; /* a coat wears through */
                 case 4: phi_i[i] *= fmax(0.1, 1 - f[LAYER_WEAR][0] * slid); break;
+                case 7: /* all that the vacuum adds: it is the layers that wear, not what else rubs */
+                    phi_i[i] *= 1 + f[LAYER_WEAR][0] * (1 - r->c4 / fresh) * expm1(-slid);
+                    break;
                 case 6: /* they run in, then wear steadily */
                     phi_i[i] *= fmax(0.1, 1 + f[LAYER_WEAR][0] * (0.45 * expm1(-6 * slid) - 0.55 * slid));
                     break;
@@ -375,8 +388,8 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                     double slope = sign(v) / rho * (1 + g / (r->mu_c + g) * r->sigma3 * x);
                     mid_z[i] = (s.z[i] + half * v) / scale;
                     d_z[i] = half * (1 - slope * mid_z[i]) / scale;
-                    tau[i] = torque[i] + phi_i[i] * ((1 + memory) * mid_z[i] - memory * s.z[i] + r->sigma2 * v);
-                    d_tau[i] = phi_i[i] * ((1 + memory) * d_z[i] + r->sigma2);
+                    tau[i] = torque[i] + phi_i[i] * ((1 + memory) * mid_z[i] - memory * s.z[i] + viscous * v);
+                    d_tau[i] = phi_i[i] * ((1 + memory) * d_z[i] + viscous);
                     if (f[VISCOUS_DAMPING][0] > 0 && form(f[VISCOUS_DAMPING]) != 6)
                         tau[i] += damped(f[VISCOUS_DAMPING], i, s.q[i], v, alpha2 / r->c3, s.sheared[i], &d_tau[i]);
                 }

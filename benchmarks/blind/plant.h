@@ -35,7 +35,7 @@ typedef struct {
     double sheared[N], pressed;                                                                   /* layers, grease */
     double session;
     double cable[N][2], eddy[2][4], worked[2], surging; /* further ones of actuation and pressure, and more of them */
-    double copper[2], slow_wave[2], topped, unfed, gauge, packed, sliding[N];
+    double copper[2], slow_wave[2], topped, unfed, gauge, packed, clung, sliding[N];
 } State;
 
 static double clamp(double x, double low, double high) { return x < low ? low : x > high ? high : x; }
@@ -68,6 +68,12 @@ static double given(const double *f, double session, double t, int i) {
         double behind = (session + t) / f[1 + i] + f[3];
         return t - late * (0.3 + 1.4 * (behind - floor(behind)));
     }
+    if (form(f) == 7) { /* a link that hangs every now and then, and then works off what has queued up */
+        double spell = floor(t / f[2]), key = spell + 7919 * session + f[1];
+        double hangs = late * (1 + 2 * chance(key)), since = t - f[2] * spell;
+        since -= chance(key + 104729) * fmax(0, f[2] - 2 * hangs);
+        return t - 0.5 * late - fmax(0, fmin(since, 2 * hangs - since));
+    }
     if (form(f) == 0) late *= 1 + 0.25 * sin(TURN * f[1] * t + f[2]);
     if (form(f) < 2) return t - late;
     double every = 0.7 * late, k = floor(t / every); /* packets, on their way for different times */
@@ -80,6 +86,10 @@ static double saturated(const double *f, double *hot, double x, double other, do
     if (form(f) == 3) return x / pow(1 + pow((x + other) / (1.6 * top), 8), 1 / 8.0); /* one supply for both drives */
     if (form(f) == 0) return x > top ? top + 0.04 * (x - top) : x;
     if (form(f) == 1) return x / pow(1 + pow(x / top, 6), 1 / 6.0);
+    if (form(f) == 7) { /* a clutch: once it slips it holds less, until so little is asked that it grips again */
+        *hot += ((x > top * (*hot > 0.5 ? f[2] : 1)) - *hot) * -expm1(-h / 0.03);
+        return fmin(x, top * (1 - (1 - f[2]) * *hot));
+    }
     if (form(f) == 6) { /* the loop winds up at the limit, and must unwind before it lets go */
         *hot = clamp(*hot + h * (x - top) / f[2], 0, 0.6 * top);
         return fmin(top, x + *hot);
@@ -94,8 +104,11 @@ static double saturated(const double *f, double *hot, double x, double other, do
     return fmin(x, top + (f[1] - top) * (1 - *hot));
 }
 
-static double past_deadband(const double *f, double *breakaway, double *worked, double x, int i, double h) {
+/* since: the session began [s]. */
+static double past_deadband(const double *f, double *breakaway, double *worked, double x, int i, double since,
+                            double h) {
     double d = f[0];
+    if (form(f) == 7) return fmax(0, x - d * (0.2 + 0.8 * exp(-since / f[1]))); /* a gearbox that is cold at first */
     if (form(f) == 6) { /* it stays where it is until it is asked to move by so much, then jumps there */
         if (fabs(x - *breakaway) > d) *breakaway = x;
         return *breakaway;
@@ -129,6 +142,10 @@ static double lagged(const double *f, State *s, double x, int i, double rate, do
         }
         return sum;
     }
+    if (form(f) == 7) { /* a loop that gives a share at once and integrates what is missing */
+        s->first[i] += (x - s->first[i]) * -expm1(-h / slow);
+        return f[1] * x + (1 - f[1]) * s->first[i];
+    }
     if (form(f) == 6) /* on an elastic cable, from which the body takes what the loop has not wound yet */
         return fmax(0, s->tension[i] + (x - s->tension[i]) * -expm1(-h / slow) - h * f[1] * rate);
     if (form(f) == 4) /* so many newtons a second and no more */
@@ -156,7 +173,7 @@ static void actuate(const double f[][WIDTH], State *s, const double *u, int coun
         if (f[ACTUATOR_SATURATION][0] > 0)
             x = saturated(f[ACTUATOR_SATURATION], &s->hot[i], x, other, i ? -rate : rate, h);
         if (f[ACTUATOR_DEADBAND][0] > 0)
-            x = past_deadband(f[ACTUATOR_DEADBAND], &s->breakaway[i], &s->worked[i], x, i, h);
+            x = past_deadband(f[ACTUATOR_DEADBAND], &s->breakaway[i], &s->worked[i], x, i, s->session + fmax(t, 0), h);
         double e = f[ACTUATOR_GAIN][0] * f[ACTUATOR_GAIN][1 + i];
         switch (form(f[ACTUATOR_GAIN])) {
         case 0: x *= 1 + e * (1 - 0.1 * tanh(x / 15)); break;
@@ -172,6 +189,9 @@ static void actuate(const double f[][WIDTH], State *s, const double *u, int coun
             s->copper[i] += h * (share * share - s->copper[i]) / f[ACTUATOR_GAIN][3];
             break;
         }
+        case 7: /* cable wound on anew before each run, never twice as tightly */
+            x *= 1 + 1.7 * f[ACTUATOR_GAIN][0] * (2 * chance(s->session + f[ACTUATOR_GAIN][1] + 31 * i) - 1);
+            break;
         default: x /= fmax(0.3, 1 + f[ACTUATOR_GAIN][0] * wound / 0.02); /* the spool grows as it winds */
         }
         if (f[ACTUATOR_LAG][0] > 0) x = s->tension[i] = lagged(f[ACTUATOR_LAG], s, x, i, i ? -rate : rate, h);
@@ -187,7 +207,10 @@ static void actuate(const double f[][WIDTH], State *s, const double *u, int coun
                 x += p[0] * sin(teeth * angle + p[4 + i] + 0.8 * wave) * (1 + 0.7 * sin(angle + p[6 + i]));
             else if (form(p) == 4) /* a gear of two stages */
                 x += p[0] * (0.8 * wave + 0.6 * sin(p[8] * teeth * angle + p[6 + i]));
-            else if (form(p) == 6) { /* of which the loop takes out what is slow */
+            else if (form(p) == 7) { /* a printed wheel, each tooth too high or too low by its own */
+                double tooth = floor((teeth * angle + p[4 + i]) / TURN);
+                x += 1.1 * p[0] * (1 - cos(teeth * angle + p[4 + i])) * (2 * chance(tooth + 977 * i + p[8]) - 1);
+            } else if (form(p) == 6) { /* of which the loop takes out what is slow */
                 s->slow_wave[i] = h > 0 ? s->slow_wave[i] + (wave - s->slow_wave[i]) * -expm1(-h / p[8]) : wave;
                 x += 1.3 * p[0] * (wave - s->slow_wave[i]);
             } else if (form(p) == 5) /* narrow magnets far apart: a dip and a bump each, nothing between them */
@@ -209,8 +232,9 @@ static void actuate(const double f[][WIDTH], State *s, const double *u, int coun
 /* What reaches the first guide: a pair of plays side by side, one play, cable that a released spool has paid out,
    cable that the body has let go by bending this way faster than the spool winds, a play with round corners, or a play
    in the length of a cable that is the stiffer the tauter it is; rate: of that bending [m/s]; since: the session began
-   [s]. */
-static double past_slack(const double *f, double state[2], double x, double rate, double since, double h) {
+   [s]; bend: of the whole body. */
+static double past_slack(const double *f, double state[2], double x, double rate, double since, double bend,
+                         double h) {
     if (f[0] <= 0) return x;
     if (form(f) == 6) {
         state[0] = clamp(state[0], sqrt(x) - f[0], sqrt(x) + f[0]);
@@ -234,6 +258,8 @@ static double past_slack(const double *f, double state[2], double x, double rate
     }
     double width[2] = {f[0], 0.45 * f[0]}, out = 0;
     if (form(f) == 5) width[0] *= -expm1(-since / f[1]); /* knots that give over the session: one play, ever wider */
+    if (form(f) == 7) /* holes off the joints' axes: the more it is bent, the more cable is loose */
+        width[0] *= 0.1 + 0.9 * bend * bend / (bend * bend + 0.3);
     for (int k = 0; k < 2; k++) {
         state[k] = clamp(state[k], x - width[k], x + width[k]);
         out += (k ? 0.35 : 0.65) * state[k];
@@ -256,6 +282,7 @@ static double filled(const double *f, State *s, double inside, double h) {
         return s->surging = 0;
     }
     if (form(f) == 4) return s->sheath + clamp(drop, -20 * h / time, 20 * h / time); /* a pump of one speed */
+    if (form(f) == 7) return s->sheath + drop * -expm1(-h / f[0]); /* after a valve that is late to answer */
     if (form(f) == 6) time = f[0] * (0.15 + 2.5 * exp(-s->sheath / f[1])); /* a bag that is slack until most is out */
     if (form(f) == 3) time *= 0.15 + s->sheath / 15; /* layers pressed together close their own channels */
     if (form(f) != 2) return s->sheath + drop * -expm1(-h / time);
@@ -286,6 +313,11 @@ static double leaked(const double *f, State *s, double p, double t, double h) {
         if (s->unfed > f[1] || fabs(p - s->topped) > 1) s->unfed = 0, s->topped = p;
         return p * (1 - f[0] * s->unfed / f[1]);
     }
+    if (form(f) == 7) { /* a slit on one side of one joint, that gapes while that side is stretched */
+        double gapes = fmax(0, f[2] * s->q[(int)f[1]]) / 0.1;
+        s->seal += h * (gapes / (1 + gapes) - s->seal) / 0.3;
+        return p / (1 + f[0] * s->seal);
+    }
     double bend = 0, open; /* folds open where it is bent, or a lip while it moves */
     for (int i = 0; i < N; i++) bend += form(f) == 3 ? fabs(s->v[i]) / N / 0.3 : s->q[i] * s->q[i] / N / 0.0144;
     open = bend / (1 + bend);
@@ -293,8 +325,9 @@ static double leaked(const double *f, State *s, double p, double t, double h) {
     return p / (1 + f[0] * s->seal);
 }
 
-/* Vacuum in the line and in the sheath [kPa] from the commanded one; t: since the run began [s]. */
-static void pressurise(const double f[][WIDTH], State *s, double commanded, double t, double h) {
+/* Vacuum in the line and in the sheath [kPa] from the commanded one, and from that which a late valve still goes by;
+   t: since the run began [s]. */
+static void pressurise(const double f[][WIDTH], State *s, double commanded, double before, double t, double h) {
     if (f[BROWNOUT][0] > 0) /* while the pump draws its surge */
         s->pump = s->pump * exp(-h / f[BROWNOUT][1]) + fmax(0, commanded - s->line) / 10;
     s->line = commanded;
@@ -309,8 +342,12 @@ static void pressurise(const double f[][WIDTH], State *s, double commanded, doub
         s->gauge = clamp(s->gauge, commanded - f[PRESSURE_BIAS][1], commanded + f[PRESSURE_BIAS][1]);
         inside += b * (0.5 + 0.5 * (s->gauge - commanded) / f[PRESSURE_BIAS][1]);
         break;
+    case 7: /* it keeps a rest of vacuum where it should vent, or does not open below some */
+        if (b != 0) inside = cbrt(fmax(0, commanded * commanded * commanded + b * b * b));
+        break;
     default: inside += b * (1 - exp(-commanded / 4));
     }
+    inside += before - commanded;
     if (f[PUMP_PULSES][0] > 0) /* that a damped gauge does not show */
         inside += f[PUMP_PULSES][0] * sin(TURN * f[PUMP_PULSES][1] * (s->session + t)) * commanded / (commanded + 3);
     if (f[PRESSURE_LAG][0] > 0) inside = s->sheath = filled(f[PRESSURE_LAG], s, inside, h);

@@ -1,6 +1,11 @@
 /* The shapes of causes in layers, structure and friction: each takes its cause's row f. See plant.c. */
 #include "plant.h"
 
+/* Up to 1 at high vacuum P [kPa]: half of it at once, half about the second one. */
+static double by_steps(double P, double second) {
+    return -0.5 * expm1(-P / 2.5) + 0.5 / (1 + exp((second - P) / 2)) - 0.5 / (1 + exp(second / 2));
+}
+
 /* The pressures [kPa] that stiffness and friction go by; packed: how far the layers have been pressed. */
 static double stiffening(const double *f, double P, double *packed) {
     double knee = f[0] * P / 20, x;
@@ -14,6 +19,8 @@ static double stiffening(const double *f, double P, double *packed) {
     case 7: /* once packed they stay packed until the vacuum is nearly gone */
         *packed = clamp(*packed, P, 2.5 * P);
         return (1 - f[0]) * P + f[0] * 20 * expm1(-*packed / f[1]) / expm1(-20 / f[1]);
+    case 8: /* two stacks, of which one jams at once and one when its spacers give way: by two steps */
+        return (1 - f[0]) * P + f[0] * 20 * by_steps(P, f[1]) / by_steps(20, f[1]);
     case 6: /* in proportion until they touch, then as soil is consolidated: by the logarithm */
         x = 20 / f[0];
         return (P < x ? P : x * (1 + log(P / x))) * (f[0] > 1 ? f[0] / (1 + log(f[0])) : 1);
@@ -22,7 +29,8 @@ static double stiffening(const double *f, double P, double *packed) {
     }
 }
 
-static double rubbing(const Robot *r, const double *f, double P) {
+/* clung: the vacuum that has brought the layers as close as they are. */
+static double rubbing(const Robot *r, const double *f, double P, double *clung) {
     double usual = sqrt(P);
     if (f[0] <= 0) return r->c4 + r->c5 * usual;
     if (form(f) == 0) return r->c4 + r->c5 * sqrt(20 / f[0] * tanh(f[0] * P / 20));
@@ -31,6 +39,10 @@ static double rubbing(const Robot *r, const double *f, double P) {
     if (form(f) == 3) other = (1 + usually) / usually * met / (1 + met); /* layers must meet first */
     if (form(f) == 4) other = fmin(P, f[1]) / fmin(20, f[1]); /* in proportion, up to a limit */
     if (form(f) == 6) other = log1p(P / f[1]) / log1p(20 / f[1]); /* by the logarithm */
+    if (form(f) == 7) { /* they cling to each other until most of the vacuum is gone */
+        *clung = clamp(*clung, P, 3 * P);
+        other = expm1(-*clung / f[1]) / expm1(-20 / f[1]);
+    }
     if (form(f) == 5) /* beyond a peak the sheath's folds carry the load past the layers */
         other = P / 20 * (f[1] * f[1] + 400) / (f[1] * f[1] + P * P);
     return r->c4 + r->c5 * ((1 - f[0]) * usual + f[0] * sqrt(20) * other);
@@ -39,7 +51,7 @@ static double rubbing(const Robot *r, const double *f, double P) {
 /* Friction drops, or stiffness, or both, or one of them rises. */
 static void warmed(const double *f, double warm, double *phi, double *alpha2, double *added) {
     double x = warm / 10, share;
-    if (f[0] <= 0 || form(f) == 6) return;
+    if (f[0] <= 0 || form(f) > 5) return;
     if (form(f) == 2) {
         x = 1 / (1 + exp((f[1] - warm) / 0.5)) - 1 / (1 + exp(f[1] / 0.5));
         share = 1 - 0.5 * f[0] * x;
@@ -87,6 +99,11 @@ static double remembered(const double *f, double play[PLAYS], double q, double d
     if (form(f) == 6) { /* springs that slip; q: what has slid past by here, from the clamp on */
         *z = clamp(*z + dq / f[1], -1, 1);
         return *z * (0.35 + P / 25);
+    }
+    if (form(f) == 7) { /* a spring from where it was when they jammed, which slips, and melts as they are vented */
+        *z += (q - *z) * -expm1(-h / (0.05 + 0.01 * P * P * P * P));
+        *z = clamp(*z, q - f[1], q + f[1]);
+        return 1.5 * (q - *z) / f[1] * P / (P + 8);
     }
     if (form(f) == 3) { /* springs that slip, the later the more they are pressed */
         for (int k = 0; k < PLAYS; k++) {
@@ -206,6 +223,7 @@ static double lopsided(const double *f, double *loading, double q, double v, dou
         return 1.4 * f[0] * *loading * loading[1] / (loading[1] + 0.05);
     }
     if (form(f) == 4) return 1.3 * f[0] * *loading * P / (P + 6); /* scales that catch where they are pressed */
+    if (form(f) == 6) return 0.7 * f[0] * *loading * (1 + f[1] * tanh(q / 0.03)); /* layers on one side of it only */
     return 1.4 * f[0] * *loading * q * q / (q * q + 0.0009); /* the more, the more it is bent */
 }
 
@@ -220,7 +238,7 @@ static double rubbed(const double *f, double *guide, double *sliding, double q, 
         return f[0] * wrap * *guide * pow(*sliding / 0.02 + 1e-3, f[1]);
     }
     if (form(f) == 4) return f[0] * *guide; /* in a bent sheath before the robot */
-    return f[0] * wrap * *guide * (form(f) == 1 ? 1 : 1 + 0.8 * exp(-rate * rate / 1e-5));
+    return f[0] * wrap * *guide * (form(f) == 1 || form(f) == 7 ? 1 : 1 + 0.8 * exp(-rate * rate / 1e-5));
 }
 
 /* What of the tension x an elastic cable hands on past guide i: it sticks there, stretched by `drawn` [m] more, as long

@@ -179,16 +179,16 @@ def test_robots_of_earlier_seeds_stay_what_they_were():
     def forms(seed: int, mujoco: bool = False) -> set[int]:
         return {cases._form(seed * 1000 + k, 0, 0, "contact", mujoco) for k in range(200)}
 
-    last, first = len(causes.CAUSES["contact"].shapes) - 1, cases.NEWEST[0]
+    before, first = len(causes.CAUSES["contact"].shapes) - len(cases.NEWEST), cases.NEWEST[0]
     for late, seed in enumerate(cases.NEWEST):
-        assert forms(seed) == {*range(last + late)}
-        assert forms(seed - 1) == {*range(last + late - 1)}
-        assert forms(seed, mujoco=True) == {*range(last - 1)}
+        assert forms(seed) == {*range(before + late + 1)}
+        assert forms(seed - 1) == {*range(before + late)}
+        assert forms(seed, mujoco=True) == {*range(before)}
     new = {cause.id for cause in causes.UNLISTED[cases.OUTSIDE_BEFORE :]}
     for seed, some in ((first - 1, set()), (first, new)):
         assert {c.causes[0] for c in cases.catalogue(seed, ("unlisted",))} & new == some
     for late, seed in enumerate(cases.NEWEST):
-        assert cases.on_purpose(f"contact:{last - 1 + late}", 0, 0).seed // 10**6 == seed
+        assert cases.on_purpose(f"contact:{before + late}", 0, 0).seed // 10**6 == seed
 
 
 def test_a_robot_made_on_purpose_has_the_causes_and_shapes_asked_for(monkeypatch):
