@@ -42,9 +42,8 @@ recovery: .venv/.ready ## identify 40 simulated robots and compare with the trut
 
 CASES ?= 20
 JOBS ?= 2
-SEED ?= 5901
 blind: .venv/.ready ## diagnose robots whose effect is sealed, and score the answers (an hour on two cores); writes out/blind/
-	$(BIN)/python -m benchmarks.blind.study --seed $(SEED) --cases $(CASES) --jobs $(JOBS)
+	$(BIN)/python -m benchmarks.blind.study $(if $(SEED),--seed $(SEED)) --cases $(CASES) --jobs $(JOBS)
 
 control-study: .venv/.ready ## the control room's claims and the paper's experiments, measured; writes out/control/
 	$(BIN)/python -m benchmarks.control.study

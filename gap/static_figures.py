@@ -141,17 +141,18 @@ def where(c: Channel) -> Figure:
 
 
 def closing(c: Channel) -> Figure:
-    """The RMS error at inner pressures left out, from the given model over the base refitted to each effect found on
-    these points, down to their scatter."""
-    level = [float(np.sqrt(np.mean(c.given[c.inner] ** 2))), c.base.rms(c.inner)]
-    inside = np.unique(c.points.levels[c.inner])
+    """The RMS error at pressures left out (of tension the inner ones), from the given model over the base refitted to
+    each effect found on these points, down to their scatter."""
+    keep = c.inner if c.kind == "steady" else np.ones(len(c.points), bool)
+    level = [float(np.sqrt(np.mean(c.given[keep] ** 2))), c.base.rms(keep)]
+    inside = np.unique(c.points.levels[keep])
     by = np.bincount(c.points.levels)[inside]
     for r in c.rounds[1 : len(c.added)]:  # squares of the levels left out, in units of the scatter's
         level.append(c.noise * float(np.sqrt(np.average(r.none.left_out[inside], weights=by))))
     if c.added:
-        level.append(c.model.rms(c.inner))
+        level.append(c.model.rms(keep))
     names = ["given model", "base refitted", *(f"+ {plain(e)}" for e in c.added)]
-    where = "inner pressures left out" if not c.inner.all() else "pressures left out"
+    where = "pressures left out" if keep.all() else "inner pressures left out"
     return waterfall(names, level, c.noise, f" {c.unit}", f"RMS error at {where}")
 
 
@@ -216,7 +217,7 @@ def waterfall(names: Sequence[str], level: Sequence[float], floor: float, unit: 
         share = f" ({100 * gone / before:+.0f} %)".replace("-", "−") if before > 0 else ""
         ax.text(b + 0.012 * edge, k, f"→ {level[k]:.3g}{unit}{share}", va="center", fontsize=9.5)
     last = len(level)
-    a, b = sorted((min(level[-1], edge), floor))
+    a, b = floor, max(min(level[-1], edge), floor)
     ax.barh(last, b - a, 0.6, left=a, color="white", edgecolor=MUTED, hatch="///", lw=0.8)
     ax.text(b + 0.012 * edge, last, f"{max(level[-1] - floor, 0.0):.2g}{unit}", va="center", fontsize=9.5)
     ax.barh(last + 1, floor, 0.6, color=MEASURED)
