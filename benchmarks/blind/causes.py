@@ -180,6 +180,11 @@ def _harness(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [*[1.0] * JOINTS, rng.choice([-1, 1]) * rng.uniform(0.004, 0.012)]
 
 
+def _loop(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """The link, the side to which the stand is, how far [m], and the pull to there as a share of the weight."""
+    return [float(rng.integers(1, 5)), rng.choice([-1.0, 1.0]), rng.uniform(0.12, 0.3), rng.uniform(0.1, 0.3)]
+
+
 def _payload(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [rng.uniform(0.005, 0.03), rng.uniform(-0.003, 0.003), 0.015]
 
@@ -201,6 +206,11 @@ def _bracket(rng: np.random.Generator, setting: Setting) -> list[float]:
 
 def _between_runs(rng: np.random.Generator, setting: Setting) -> list[float]:
     return [(int(rng.integers(2, 6)) - 0.2) * setting.apart_s]
+
+
+def _picked(rng: np.random.Generator, setting: Setting) -> list[float]:
+    """When it is picked up, and when it is let go [s]."""
+    return [rng.uniform(0.15, 0.35) * setting.seconds, rng.uniform(0.6, 0.85) * setting.seconds]
 
 
 def _obstacle(rng: np.random.Generator, setting: Setting) -> list[float]:
@@ -479,6 +489,7 @@ LISTED = (
             Shape(0.3, 5, _between((0.5, 5), (0.08, 0.16)), ("angle",)),
             Shape(0.3, 6, _between((0.2, 0.8), (0.04, 0.1)), ("angle",)),
             Shape(0.3, 6, _between((0.4, 4)), ("pressure",)),
+            Shape(0.3, 6, _between((0.4, 3)), ("segment",)),
         ),
     ),
     Cause(
@@ -490,6 +501,7 @@ LISTED = (
             Shape(0.05, 1.5, _none, ("pressure",)),
             Shape(0.1, 3, _between((2, 8), (0.05, 0.2)), ("time",)),
             Shape(3, 60, _none, ("segment",)),
+            Shape(0.02, 0.6, _none, ("segment",)),
         ),
     ),
     Cause(
@@ -501,6 +513,7 @@ LISTED = (
             Shape(0.5, 20, _between((0.28, 0.45))),
             Shape(3, 400, _lean),
             Shape(0.3, 40, _between((0.05, 0.12)), ("segment",)),
+            Shape(15, 600, _between((1.5, 4)), ("segment",)),
         ),
     ),
     Cause(
@@ -512,6 +525,7 @@ LISTED = (
             Shape(0.01, 0.25, _then(_curved, _between((60, 250))), ("run", "time")),
             Shape(0.01, 0.25, _then(_curved, _between((3, 12))), ("run", "time")),
             Shape(0.01, 0.25, _then(_curved, _seed), ("run",)),
+            Shape(0.01, 0.25, _then(_curved, _between((4, 15))), ("time",)),
         ),
         signed=True,
     ),
@@ -524,6 +538,7 @@ LISTED = (
             Shape(0.1, 1.0, _break, ("run", "time")),
             Shape(0.1, 1.0, _none, ("direction", "load")),
             Shape(0.05, 1.0, _none, ("segment",)),
+            Shape(0.1, 1.0, _between((0.4, 1.2)), ("rate", "time")),
         ),
         signed=True,
     ),
@@ -535,6 +550,7 @@ LISTED = (
             Shape(0.03, 0.4, _then(_payload, _between_runs), ("run",)),
             Shape(0.03, 0.4, _hung, ("time",)),
             Shape(0.03, 0.4, _then(_payload, _between((80, 400))), ("run", "time")),
+            Shape(0.03, 0.4, _then(_payload, _picked), ("time",)),
         ),
     ),
     Cause(
@@ -545,6 +561,7 @@ LISTED = (
             Shape(0.5, 3, _lump, ("rate",)),
             Shape(0.5, 3, _between((0.8, 2), (3.2, 5), (3, 12)), ("run", "time")),
             Shape(0.5, 3, _harness, ("everywhere", "pressure")),
+            Shape(0.3, 3, _loop, ("everywhere", "pressure")),
         ),
     ),
     Cause(
@@ -557,6 +574,7 @@ LISTED = (
             Shape(0.1, 0.6, _then(_stepped, _fixed(1, 1))),
             Shape(0.1, 0.45, _then(_uneven, _between((3, 12))), ("run", "time")),
             Shape(0.1, 0.6, _then(_alternating, _fixed(0, 1.6)), ("pressure",)),
+            Shape(0.1, 0.4, _then(_weak, _between((0.03, 0.1))), ("angle",)),
         ),
     ),
     Cause(
@@ -568,6 +586,7 @@ LISTED = (
             Shape(100, 1e4, _midway, ("segment",)),
             Shape(100, 1e4, _then(_obstacle, _between((0.5, 4))), ("time", "rate")),
             Shape(10, 1e4, _tube),
+            Shape(0.1, 8, _obstacle, ("time", "direction")),
         ),
     ),
     Cause(
@@ -613,6 +632,7 @@ LISTED = (
             Shape(0.001, 0.05, _then(_markers, _seed), ("run",)),
             Shape(0.001, 0.05, _then(_markers, _between((20, 150))), ("run", "time")),
             Shape(0.002, 0.08, _markers, ("time",)),
+            Shape(0.002, 0.08, _then(_markers, _between((-0.8, 0.8))), ("angle",)),
         ),
         signed=True,
     ),
@@ -624,6 +644,7 @@ LISTED = (
             *[Shape(0.02, most, _none, ("segment",)) for most in (0.22, 0.3)],
             Shape(0.02, 0.2, _seed, ("run",)),
             Shape(0.02, 0.3, _between((60, 300)), ("run", "time")),
+            Shape(0.02, 0.3, _seed, ("time",)),
         ),
         signed=True,
     ),
@@ -633,9 +654,10 @@ LISTED = (
             *_alike(0.02, 0.3, _between((0.05, 0.2), (0, 6)), _none, _between((1.5, 4), (0, 4)), _seed, _seed),
             Shape(0.02, 0.3, _between((0.2, 1))),
             Shape(0.02, 0.3, _none, ("segment",)),
+            Shape(0.02, 0.3, _between((0, 1))),
         ),
     ),
-    Cause("sensor_filter", "sensing", ("rate", "time", "direction"), _alike(0.05, 0.8, *[_none] * 7)),
+    Cause("sensor_filter", "sensing", ("rate", "time", "direction"), _alike(0.05, 0.8, *[_none] * 8)),
 )
 UNLISTED = (
     Cause("jammed_joint", None, (), _alike(0.5, 12, _joint)),

@@ -51,6 +51,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
     if (form(f[TIP_PAYLOAD]) == 4 && session < f[TIP_PAYLOAD][4]) payload = 0; /* put on between two runs */
     for (int i = 0; i < N; i++) arm[i] = length[i] + (i == N - 1 ? f[TIP_PAYLOAD][1] : 0);
     int hung = form(f[TIP_PAYLOAD]) == 5, drips = form(f[TIP_PAYLOAD]) == 6; /* on a thread, or from a bottle */
+    int grips = form(f[TIP_PAYLOAD]) == 7; /* picks something up in each run, and lets go of it */
     if (payload > 0 && !hung) {
         for (int a = 0; a < N; a++)
             for (int b = 0; b < N; b++) inertia[a][b] += payload * arm[a] * arm[b];
@@ -78,7 +79,8 @@ int run(const double *robot, const double *causes, double *carried, int count, c
     if (form(f[THERMAL_DRIFT]) == 5) c->core = soaked(f[THERMAL_DRIFT], c->core, c->warm, session - c->ended);
     c->ended = session + count * period;
     int harness = form(f[GRAVITY_DISTRIBUTION]) == 6 && spread > 0;
-    int settle = f[REST_CURVATURE][0] != 0 || f[BASE_TILT][0] != 0 || payload > 0 || harness;
+    int looped = form(f[GRAVITY_DISTRIBUTION]) == 7 && spread > 0; /* a hose from a link to the stand */
+    int settle = f[REST_CURVATURE][0] != 0 || f[BASE_TILT][0] != 0 || payload > 0 || harness || looped;
     actuate(f, &s, u, count, 0, period, 0, r->lever);
     double h = period / substeps, half = h / 2;
     double answers = form(f[PRESSURE_LAG]) == 7 ? f[PRESSURE_LAG][0] * f[PRESSURE_LAG][1] : 0; /* so late */
@@ -97,6 +99,8 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 for (int k = 0; k < 4; k++) s.branch[i][k] = s.q[i];
                 s.pendulum += s.q[i];
             }
+            for (int i = 0; i < N && form(f[VISCOELASTIC_CREEP]) == 7; i++)
+                s.branch[i][0] = s.branch[i][1] = s.pendulum / N;
         }
         if (!calm && step % substeps == 0) {
             long k = step / substeps;
@@ -121,8 +125,10 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             pull[which] *= 1 - f[DERAILED_TENDON][0] * s.derailed;
         }
         double P = s.sheath, heat = (s.tension[0] + s.tension[1]) / 25 + 0.4;
-        if (drips && payload > 0) {
-            double less = payload - full * exp(-(session + fmax(t, 0)) / f[TIP_PAYLOAD][4]);
+        if ((drips || grips) && payload > 0) {
+            const double *d = f[TIP_PAYLOAD];
+            double holds = 0.5 * (tanh((fmax(t, 0) - d[4]) / 0.1) - tanh((fmax(t, 0) - d[5]) / 0.1));
+            double less = payload - full * (drips ? exp(-(session + fmax(t, 0)) / d[4]) : 0.3 + 0.7 * holds);
             for (int a = 0; a < N; a++)
                 for (int b = 0; b < N; b++) inertia[a][b] -= less * arm[a] * arm[b];
             inertia[N - 1][N - 1] -= 0.4 * less * f[TIP_PAYLOAD][3] * f[TIP_PAYLOAD][3];
@@ -197,7 +203,8 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             if (f[NONUNIFORM_STIFFNESS][0] > 0) {
                 const double *d = f[NONUNIFORM_STIFFNESS];
                 double seam = form(d) == 4 ? 0.6 + 0.5 * tanh(q / 0.02) : 1; /* that resists to one side */
-                double base_share = d[7], added_share = d[8];
+                if (form(d) == 8) seam = q * q / (q * q + d[7] * d[7]); /* it creases where it is bent */
+                double base_share = form(d) == 8 ? 1 : d[7], added_share = form(d) == 8 ? 1 : d[8];
                 if (form(d) == 6) /* each ages in its own way, by its own bending */
                     base_share = added_share = 1 - 0.8 * exp(-c->slip[i] / d[7]);
                 of += d[0] * d[1 + i] * seam * (base_share * (alpha2 - added) + added_share * added);
@@ -209,13 +216,17 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 free *= -expm1(-(session + fmax(t, 0)) / f[REST_CURVATURE][7]);
             if (form(f[REST_CURVATURE]) == 5) /* from the reel, worked out of it by bending */
                 free *= 0.15 + 0.85 * exp(-c->slip[i] / f[REST_CURVATURE][7]);
+            if (form(f[REST_CURVATURE]) == 7) /* it lies bent between runs, and comes out of it in each */
+                free *= 0.35 + 0.65 * exp(-fmax(t, 0) / f[REST_CURVATURE][7]);
             if (form(f[REST_CURVATURE]) == 6) /* straightened by hand before each run */
                 free *= 2 * chance(session + f[REST_CURVATURE][7]) - 0.5;
             double sprung = form(f[REST_CURVATURE]) == 2 ? r->c3 : of;
             torque[i] = of * q - sprung * free - r->lever * (left[i] - right[i]);
             if (f[STIFFNESS_HARDENING][0] != 0) { /* of each joint, or of a hose through all of them */
                 double x = form(f[STIFFNESS_HARDENING]) == 6 ? bend / N : q;
-                torque[i] += hardened(f[STIFFNESS_HARDENING], x, alpha2 / r->c3);
+                double covered = 1 / (1 + exp((i - f[STIFFNESS_HARDENING][1]) / 0.3)); /* from the base on */
+                torque[i] += hardened(f[STIFFNESS_HARDENING], x,
+                                      form(f[STIFFNESS_HARDENING]) == 7 ? covered : alpha2 / r->c3);
             }
             if (f[CONTACT][0] > 0 && form(f[CONTACT]) == 2) { /* an end stop in the joint */
                 double soft = 0.004, x = (f[CONTACT][2] * q - f[CONTACT][1]) / soft;
@@ -228,7 +239,9 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             if (f[LAYER_HYSTERESIS][0] > 0 && !calm && form(f[LAYER_HYSTERESIS]) != 6)
                 torque[i] += f[LAYER_HYSTERESIS][0] * remembered(f[LAYER_HYSTERESIS], s.play[i], q, h * s.v[i], P, h);
             if (f[VISCOELASTIC_CREEP][0] > 0 && !calm)
-                torque[i] += f[VISCOELASTIC_CREEP][0] * crept(f[VISCOELASTIC_CREEP], s.branch[i], q, P, h);
+                torque[i] += f[VISCOELASTIC_CREEP][0] *
+                             crept(f[VISCOELASTIC_CREEP], s.branch[i],
+                                   form(f[VISCOELASTIC_CREEP]) == 7 ? bend / N : q, P, h);
             if (f[BASE_VIBRATION][0] > 0)
                 torque[i] -= f[BASE_VIBRATION][0] * (N - i) / N *
                              sin(TURN * f[BASE_VIBRATION][1] * (session + t) + f[BASE_VIBRATION][2]);
@@ -286,17 +299,24 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             s.rocker += (calm ? 0 : h) * moved * (tanh(6 * bend) - s.rocker);
             tilt = 0.55 * tilt + 0.45 * fabs(tilt) * s.rocker;
         }
+        if (form(f[BASE_TILT]) == 7) { /* a slender stand, not upright, that rocks as the body swings */
+            double w = TURN * f[BASE_TILT][1], to = sin(0.5 * bend);
+            s.rocking += calm ? 0 : h * w * (w * (to - s.rocker) - 0.12 * s.rocking);
+            s.rocker = calm ? to : s.rocker + h * s.rocking;
+            tilt = 0.6 * tilt + 0.8 * fabs(tilt) * s.rocker;
+        }
         double leaning = form(f[BASE_TILT]) == 6 ? tilt : 0; /* felt by every link's own weight */
         if (form(f[BASE_TILT]) == 6) tilt = 0;
         double tipward = r->alpha1 * cosine;
         tipward *= sinp[N - 1] * cos(tilt) - cosp[N - 1] * sin(tilt) * (1 + uneven * sinp[N - 1]);
         int touched = form(f[CONTACT]) == 4 ? (int)f[CONTACT][3] : N - 1; /* the link that meets it */
-        double met = 0, meets = 0;
+        double met = 0, meets = 0, loop = 0;
         for (int i = 0; i < N; i++) {
             rate[i] = sum += s.v[i];
             aside += length[i] * sinp[i];
             swept += length[i] * cosp[i] * rate[i];
             if (i == touched) met = aside, meets = swept;
+            if (looped && i == (int)f[GRAVITY_DISTRIBUTION][1]) loop = aside;
         }
         double depth = f[CONTACT][2] * met - f[CONTACT][1], slip = f[CONTACT][2] * meets, push = 0;
         if (f[CONTACT][0] > 0 && form(f[CONTACT]) == 6) { /* a padded tube, with a wall to either side */
@@ -308,6 +328,10 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             if (form(f[CONTACT]) == 4) push = f[CONTACT][0] * fmax(0, depth + 0.003 * slip);
             if (form(f[CONTACT]) == 3) /* foam on something hard */
                 push = f[CONTACT][0] * (0.15 * depth + fmax(0, depth - f[CONTACT][3]));
+            if (form(f[CONTACT]) == 7) { /* a box that is shoved along, and stays where it is left */
+                push = clamp(2000 * (depth - s.dent), 0, f[CONTACT][0]);
+                s.dent = fmax(s.dent, depth - f[CONTACT][0] / 2000);
+            }
             if (form(f[CONTACT]) == 5) /* it yields, and comes back */
                 push = f[CONTACT][0] * (0.3 * depth + 0.7 * fmax(0, depth - s.dent));
         }
@@ -325,6 +349,12 @@ int run(const double *robot, const double *causes, double *carried, int count, c
             const double *d = f[GRAVITY_DISTRIBUTION];
             for (int i = 0; i < N; i++) collar += c->slip[i] / N / d[3];
             collar = d[2] + (d[1] - d[2]) * exp(-collar);
+        }
+        double hose_weight = 0, hose_pull = 0; /* on the link from which it hangs; more, the farther from the stand */
+        if (looped) {
+            const double *d = f[GRAVITY_DISTRIBUTION];
+            double span = fmax(0, 1 - d[2] * loop / d[3]);
+            hose_weight = spread * 2.5 * r->mass * 9.81, hose_pull = d[2] * d[4] * hose_weight * span * span;
         }
         double blown = 0, pulled = calm ? 0 : beside(f, &s.dragged, aside, swept, h);
         const double *air = f[DRAUGHT];
@@ -357,10 +387,12 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                              remembered(f[LAYER_HYSTERESIS], s.play[i], psi[i], h * rate[i], P, h);
             if (harness) /* strapped along one side */
                 around[i] += spread * f[GRAVITY_DISTRIBUTION][7] * 9.81 * r->mass * (i < N - 1 ? 1 : 0.5) * cosp[i];
+            if (looped && i <= (int)f[GRAVITY_DISTRIBUTION][1])
+                around[i] += length[i] * (hose_weight * sinp[i] - hose_pull * cosp[i]);
             if (lump[i] > 0) around[i] += lump[i] * 9.81 * length[i] * sinp[i];
             else if (spread > 0 && form(f[GRAVITY_DISTRIBUTION]) == 5)
                 around[i] += spread * 2.5 * r->mass * 9.81 * length[i] * clamp(collar - i, 0, 1) * sinp[i];
-            else if (spread > 0 && form(f[GRAVITY_DISTRIBUTION]) != 4) {
+            else if (spread > 0 && !looped && form(f[GRAVITY_DISTRIBUTION]) != 4) {
                 double hose = 2 * sinp[i] * sinp[i] * (form(f[GRAVITY_DISTRIBUTION]) == 3); /* lifted off the floor */
                 around[i] += spread * weight[i] * f[GRAVITY_DISTRIBUTION][1 + i] * sinp[i] * (1 + hose);
             }
@@ -375,6 +407,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
         }
         double drop = r->mu_s - r->mu_c, memory = r->sigma1 / half;
         double bath = form(f[VISCOUS_DAMPING]) == 6 && !calm ? f[VISCOUS_DAMPING][0] * half : 0; /* as of the mass */
+        double geared = form(f[VISCOUS_DAMPING]) == 7 && !calm ? f[VISCOUS_DAMPING][0] : 0; /* of drives it turns */
         for (int turn = 0; turn < 4; turn++) {
             double matrix[N][N], right_side[N], tau[N], d_tau[N], relative = 0, largest = 0, delta[N];
             for (int i = 0; i < N; i++) {
@@ -390,7 +423,7 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                     d_z[i] = half * (1 - slope * mid_z[i]) / scale;
                     tau[i] = torque[i] + phi_i[i] * ((1 + memory) * mid_z[i] - memory * s.z[i] + viscous * v);
                     d_tau[i] = phi_i[i] * ((1 + memory) * d_z[i] + viscous);
-                    if (f[VISCOUS_DAMPING][0] > 0 && form(f[VISCOUS_DAMPING]) != 6)
+                    if (f[VISCOUS_DAMPING][0] > 0 && form(f[VISCOUS_DAMPING]) < 6)
                         tau[i] += damped(f[VISCOUS_DAMPING], i, s.q[i], v, alpha2 / r->c3, s.sheared[i], &d_tau[i]);
                 }
                 relative += mid[i] - s.v[i];
@@ -405,6 +438,10 @@ int run(const double *robot, const double *causes, double *carried, int count, c
                 for (int j = 0; j < N && bath > 0; j++) { /* what it moves in drags on every link */
                     matrix[i][j] += bath * mass[i][j];
                     x += bath * mass[i][j] * (gain[j] + rate[j]);
+                }
+                if (i == N - 1) { /* the tendons that turn them run through all joints */
+                    matrix[i][i] += geared;
+                    x += geared * (gain[i] + rate[i]);
                 }
                 right_side[i] = -x;
                 matrix[i][i] += d_tau[i] + (i + 1 < N ? d_tau[i + 1] : 0);

@@ -31,7 +31,7 @@ typedef struct {
     double first[2], tension[2], surge[2], breakaway[2], hot[2], slack[2][2], guide[N], derailed; /* actuation */
     double line, feed, fore, deep, sheath, seal;                                                  /* pressure */
     double play[N][PLAYS], branch[N][4], loading[N][2], pendulum, pendulum_rate, dragged;         /* structure */
-    double rocker, swing, swing_rate, dent, pump, asked[2], still[2];
+    double rocker, rocking, swing, swing_rate, dent, pump, asked[2], still[2];
     double sheared[N], pressed;                                                                   /* layers, grease */
     double session;
     double cable[N][2], eddy[2][4], worked[2], surging; /* further ones of actuation and pressure, and more of them */

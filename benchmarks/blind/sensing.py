@@ -25,7 +25,7 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
     t = np.arange(len(q)) * PERIOD_S
     at = t[::SHAPE_EVERY]
     if (f := causes.get("sensor_filter")) and f[0] > 0:
-        q = (_averaged, _smoothed, _exposed, _calmed, _damped, _blurred, _tracked)[form(f)](q, f[0])
+        q = (_averaged, _smoothed, _exposed, _calmed, _damped, _blurred, _tracked, _middling)[form(f)](q, f[0])
     if f := causes.get("sensor_delay"):
         late = f[0] * np.ones(len(at))
         if form(f) == 0:
@@ -39,6 +39,9 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
             late *= np.random.default_rng([int(f[1]), run]).gamma(4, 0.25, len(at))
         elif form(f) == 5:  # a thin link, on which pictures that change much queue up
             late *= 0.3 + 1.7 * _queued(motion.q, f[1])[::SHAPE_EVERY]
+        elif form(f) == 7 and f[0] > 0:  # few pictures a second, worked on for a while; each is kept until the next
+            every = 1.2 * f[0]
+            late = at - every * (np.floor((at - 0.4 * f[0]) / every - f[1]) + f[1])
         if form(f) == 6:  # markers are read one after the other, from the base on
             each = np.linspace(0.3, 1.7, motion.q.shape[1])
             y = np.stack([np.interp(at - late * k, t, x) for k, x in zip(each, motion.q.T, strict=True)], axis=1)
@@ -61,6 +64,8 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
             y *= 1 + f[0] * np.random.default_rng([int(f[1]), run]).normal()
         elif form(f) == 6:  # a zoom that creeps
             y *= 1 - f[0] * np.expm1(-(run * APART_S + at) / f[1])[:, None]
+        elif form(f) == 7:  # an autofocus that hunts, and changes the size of the picture with it
+            y *= 1 + f[0] * _focused(len(at), np.random.default_rng([int(f[1]), run]))[:, None]
         else:
             y += f[0] * y * (1 - 0.1 * (y / 0.6) ** 2 * (form(f) == 0))
     if f := causes.get("sensor_bias"):
@@ -74,6 +79,10 @@ def shape(motion: Motion, columns: int, causes: Causes, run: int) -> Array:
             y += f[0] * offsets * (0.2 + 0.8 * crept)[:, None]
         elif form(f) == 6:  # gyroscopes, set to zero at the start of each run
             y += f[0] * offsets * (at / at[-1])[:, None]
+        elif form(f) == 7:  # accelerometers on the links, off by a share of gravity
+            upright = np.cumsum(y, axis=1) if columns > 1 else 6 * y
+            off = f[0] * offsets * np.cos(upright + f[7])
+            y += np.diff(off, axis=1, prepend=0) if columns > 1 else off / 6
         else:
             y += f[0] * offsets * (np.cos(y) if form(f) == 0 else 1)
     if f := causes.get("edge_of_view"):  # the ends of the picture, where markers hardly get on
@@ -155,6 +164,24 @@ def _tracked(q: Array, seconds: float) -> Array:
         x, rate = x + (1 - (1 - gain) ** 2) * (seen - x), rate + gain**2 * (seen - x)
         out[k] = x
     return out
+
+
+def _middling(q: Array, seconds: float) -> Array:
+    """The median of the past `seconds`."""
+    m = max(3, round(seconds / PERIOD_S))
+    padded = np.concatenate([np.repeat(q[:1], m - 1, axis=0), q])
+    return np.median(np.lib.stride_tricks.sliding_window_view(padded, m, axis=0), axis=-1)
+
+
+def _focused(count: int, rng: np.random.Generator) -> Array:
+    """(T,) 0 … 1: near or far, where an autofocus goes by turns, for spells."""
+    at = np.arange(count) * SHAPE_EVERY * PERIOD_S
+    turns = np.cumsum(rng.uniform(1, 4, int(at[-1]) + 2))
+    goal = (np.searchsorted(turns, at, side="right") + rng.integers(2)) % 2
+    focus = goal.astype(float)
+    for k in range(1, count):
+        focus[k] = focus[k - 1] + (goal[k] - focus[k - 1]) * -np.expm1(-SHAPE_EVERY * PERIOD_S / 0.1)
+    return focus
 
 
 def _queued(q: Array, seconds: float) -> Array:

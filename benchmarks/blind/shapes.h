@@ -148,6 +148,11 @@ static double crept(const double *f, double branch[4], double q, double P, doubl
         }
         return sum;
     }
+    if (form(f) == 7) { /* a hose through all joints; q: what each has of its bend */
+        branch[0] += over * -expm1(-h / f[1]);
+        branch[1] += (q - branch[1]) * -expm1(-h / (8 * f[1]));
+        return 0.6 * (q - branch[0]) + 0.4 * (q - branch[1]);
+    }
     if (form(f) == 6) { /* the harder it is pressed, the more slowly it flows */
         branch[0] += over * -expm1(-h / (f[1] * (0.3 + P / 8)));
         return q - branch[0];
@@ -198,6 +203,7 @@ static double damped(const double *f, int i, double q, double v, double stiff, d
 static double hardened(const double *f, double q, double share) {
     if (form(f) == 0) return f[0] * q * fabs(q);
     if (form(f) == 1) return f[0] * q * q * q;
+    if (form(f) == 7) return f[0] * share * q * q * q; /* share: of the joint that a sleeve covers */
     if (form(f) == 3) { /* a sheath that comes taut */
         double over = fabs(q) - f[1];
         return 0.5 * f[0] * sign(q) * (fabs(q) + hypot(over, 0.02) - hypot(f[1], 0.02));
