@@ -13,6 +13,7 @@ from ljjax.effect import Effect
 from ljjax.effects import REGISTRY
 from ljjax.effects.varying import EACH, PILOTS, onsets, steady, varies, varying, ways
 from ljjax.fit import folds
+from ljjax.gap import judge
 from ljjax.gap.candidates import Trial, either_side, path, still
 from ljjax.gap.screening import Screen, ahead
 from ljjax.gap.search import Refit, Study
@@ -109,10 +110,10 @@ class Variation:
             self.keep({i: kinds[i] for i in kept})
             self.plain |= {i: single[i] for i in kept}
             single |= kept
-        if self._least(single) > FURTHER:
+        if self._least_cause(single) > FURTHER:
             begun = onsets(self.study.span["slip"], ONSETS)
             self._others(single, self._sudden(), lambda kind: begun, "effects that begin at once")
-        if self._least(single) > FURTHER:
+        if self._least_cause(single) > FURTHER:
             others = {k.id: varying(k) for k in self.study.kinds if varies(k) and k.id not in kinds}
             self._others(
                 single,
@@ -148,6 +149,11 @@ class Variation:
     def _least(self, single: Mapping[str, Refit]) -> float:
         return min(map(self.left, single.values()))
 
+    def _least_cause(self, single: Mapping[str, Refit]) -> float:
+        """The same without those that often are stand-ins, which end no search."""
+        causes = [r for i, r in single.items() if i not in judge.MIMICS]
+        return min(map(self.left, causes), default=self._least(single))
+
     def _sudden(self, until: tuple[float, ...] | None = None) -> dict[str, type[Effect]]:
         """What is put on, moved or set, as it may begin at a moment, or change from run to run."""
         return {k.id: varying(REGISTRY.get(k.id, k), until) for k in self.study.kinds if k.sudden}
@@ -161,6 +167,8 @@ class Variation:
     ) -> None:
         """Effects that promise most where they vary in one of the ways `pilots`: what varies much may do nothing as it
         stands."""
+        if not kinds:
+            return
         screen = self._screened(kinds, pilots)
         first = ahead(screen, VARYING)
         free, steps = self.only({i: kinds[i] for i, _ in first}), {}
@@ -177,6 +185,8 @@ class Variation:
         or come near the best as they are: of each size by the run in which it is largest, in the others as much of it
         as goes along with that."""
         kinds, runs = self._sudden(self._until), range(len(self.study.motions))
+        if not kinds:
+            return
         alone = [{EACH.format(r + 1): float(k == r) - 1 for r in runs} for k in runs]
         screen = self._screened(kinds, lambda kind: alone)
         gain = {i: sum(screen.gains[i, k] for k in runs) for i in kinds}

@@ -45,6 +45,7 @@ ONSET = {"by_onset": "b", "onset_rad": "S₁", "over_rad": "S₂"}
 """What says when a sudden effect changes, beside `WAYS`, and its sign; of no account where b is 0."""
 PILOTS = (
     *((way, 8.0) for way in ("by_load", "by_vacuum", "by_bend", "by_rate", "by_warmth", "by_use")),
+    *((way, -1.0) for way in ("by_warmth", "by_use")),  # what wears in, or thins as it warms
     *(("by_sense", much) for much in (1.0, -1.0)),
 )
 """Ways of varying much from which a search begins."""
