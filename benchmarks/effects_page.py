@@ -22,7 +22,7 @@ from ljjax import fast
 from ljjax.cli import start_jax
 from ljjax.effect import Effect
 from ljjax.effects import BLOCKS, REGISTRY
-from ljjax.effects.varying import ONSET, WAYS, varying
+from ljjax.effects.varying import HALFWAY, ONSET, WAYS, varying
 from ljjax.fit.run import prepared
 from ljjax.fit.session import in_order
 from ljjax.fit.shooting import together
@@ -192,6 +192,10 @@ def page(found: Screen) -> str:
         "| a, null, bounds | g |",
         "|---|---|",
         *(f"| {_parameter(name, able[name])} | {g} |" for name, g in WAYS.items()),
+        *(
+            f"| {_parameter(name, able[name])} | H of `by_{name.split('_')[1].replace('warm', 'warmth')}` |"
+            for name in HALFWAY
+        ),
         "",
         "What is put on, moved or set may begin at a moment of the session, told by the slip S of the mean joint",
         f"since the first run began ({', '.join(f'`{k.id}`' for k in REGISTRY.values() if k.sudden)}): m is also times",

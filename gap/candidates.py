@@ -11,7 +11,7 @@ from functools import cache
 from typing import Any
 
 from ljjax.effect import Effect
-from ljjax.effects.varying import ways
+from ljjax.effects.varying import HALFWAY, ways
 from ljjax.fit.coordinates import without_effects
 from ljjax.model import Model
 
@@ -65,7 +65,7 @@ def either_side(trial: Trial, kinds: Sequence[type[Effect]]) -> list[Trial]:
 
 def still(kind: type[Effect]) -> dict[str, float]:
     """By path how an effect that may vary does, where it does not."""
-    return {path(kind, way): 0.0 for way in ways(kind)}
+    return {path(kind, n): x for n, x in (dict.fromkeys(ways(kind), 0.0) | HALFWAY).items()}
 
 
 def universal(model: Model, kinds: Sequence[type[Effect]]) -> Model:

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from ljjax.effect import Effect
-from ljjax.effects.varying import WAYS
+from ljjax.effects.varying import HALFWAY, WAYS
 from ljjax.fit.coordinates import Coordinates
 from ljjax.fit.dynamic import HUBER, Search, estimate
 from ljjax.fit.problem import Estimate, Problem, Round
@@ -102,7 +102,7 @@ class Refit:
         for e in self.effects:
             names, covariance = self._spread(e.id)
             off = np.array([float(getattr(e, n)) - float(e.fields()[n]["null"]) for n in names])
-            told = {names[i] for i in needed(off, covariance)}
+            told = {names[i] for i in needed(off, covariance)} - HALFWAY.keys()
             out[e.id] = max(len(told - WAYS.keys()) + bool(told & WAYS.keys()), 1)
         return out
 

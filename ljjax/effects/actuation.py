@@ -100,6 +100,7 @@ class ActuatorGain(Effect):
     left, τ ċ = (T/10 N)² − c."""
 
     id, block, axes = "actuator_gain", "actuation", ("load", "everywhere", "angle")
+    sudden = True
     error: jax.Array = parameter("1", 0.0, -0.6, 1.5, 0.1)
     difference: jax.Array = parameter("1", 0.0, -0.4, 0.4, 0.05)
     winding: jax.Array = parameter("1/rad", 0.0, -1.0, 1.0, 0.1)

@@ -29,15 +29,17 @@ from jaxtyping import Array
 from ljjax.effect import Effect, Memory, Now, Vector, variation
 from ljjax.effects.shapes import gone
 
-LOAD_N, VACUUM_KPA, BEND_RAD, RATE_RAD_S, WARMTH_K, USE_RAD, SENSE_RAD2_S = 10.0, 15.0, 0.4, 0.5, 2.0, 10.0, 0.005
+LOAD_N, VACUUM_KPA, BEND_RAD, RATE_RAD_S, SENSE_RAD2_S = 10.0, 15.0, 0.4, 0.5, 0.005
 """Where what an effect varies with is halfway."""
+HALFWAY = {"half_warm_k": 2.0, "half_use_rad": 10.0}
+"""The same, H, for what goes on all session long and so may tell it; a search begins from these."""
 WAYS = {
     "by_load": f"T/(T + {LOAD_N:g} N), T both tensions together; its own, for what acts on a tendon by itself",
     "by_vacuum": f"P/(P + {VACUUM_KPA:g} kPa)",
     "by_bend": f"q²/(q² + ({BEND_RAD:g} rad)²), q of the mean joint",
     "by_rate": f"v²/(v² + ({RATE_RAD_S:g} rad/s)²), v of the mean joint",
-    "by_warmth": f"W/(abs(W) + {WARMTH_K:g} K), W the warming since the first run, `thermal_drift`'s if none is logged",
-    "by_use": f"S/(S + {USE_RAD:g} rad), S the way gone by the mean joint since the first run began",
+    "by_warmth": "W/(abs(W) + H), W the warming since the first run, `thermal_drift`'s if none is logged",
+    "by_use": "S/(S + H), S the way gone by the mean joint since the first run began",
     "by_sense": f"qv/(abs(qv) + {SENSE_RAD2_S:g} rad²/s), positive where the body bends further",
 }
 """What an effect may vary with, and how."""
@@ -67,6 +69,8 @@ class _Varying(Effect):
     by_warmth: Array = variation(-1.0, 20.0)
     by_use: Array = variation(-1.0, 20.0)
     by_sense: Array = variation(-1.0, 1.0)
+    half_warm_k: Array = variation(0.05, 50.0, "K", HALFWAY["half_warm_k"])
+    half_use_rad: Array = variation(0.1, 1e3, "rad", HALFWAY["half_use_rad"])
 
     def _amount(self, memory: Memory, now: Now, load: Array) -> Array:
         """m of a step under a load [N]; in memory the slip at the run's start, and so far [rad]."""
@@ -78,8 +82,8 @@ class _Varying(Effect):
             (self.by_vacuum, now.vacuum / (now.vacuum + VACUUM_KPA)),
             (self.by_bend, bend**2 / (bend**2 + BEND_RAD**2)),
             (self.by_rate, rate**2 / (rate**2 + RATE_RAD_S**2)),
-            (self.by_warmth, now.warm / (jnp.abs(now.warm) + WARMTH_K)),
-            (self.by_use, memory[1] / (memory[1] + USE_RAD)),
+            (self.by_warmth, now.warm / (jnp.abs(now.warm) + self.half_warm_k)),
+            (self.by_use, memory[1] / (memory[1] + self.half_use_rad)),
             (self.by_sense, turn / (jnp.abs(turn) + SENSE_RAD2_S)),
         )
         return jnp.maximum(1 + sum(a * g for a, g in share), 0.0) * self._begun(memory)
@@ -220,7 +224,7 @@ def having(kind: type[Effect], names: Collection[str]) -> type[Effect]:
     runs = [int(n) for name in names for n in re.findall(r"^in_run([1-9]\d?)$", name)]
     if runs:
         return varying(kind, (0.0,) * (max(runs) - 1))
-    return varying(kind) if {*WAYS, *ONSET} & {*names} else kind
+    return varying(kind) if {*WAYS, *HALFWAY, *ONSET} & {*names} else kind
 
 
 def by_run(effect: Effect) -> bool:

@@ -257,6 +257,15 @@ def test_a_robot_may_cool():
         np.testing.assert_allclose(kind(by_warmth=1.0)._amount((zero, zero), still, zero), expected, atol=1e-5)
 
 
+def test_what_wears_in_is_half_done_where_it_says():
+    kind: Any = varying(REGISTRY["actuator_deadband"])
+    zero = jnp.zeros(())
+    still: Any = SimpleNamespace(q=(zero,), v=(zero,), vacuum=zero, warm=zero)
+    less = kind(by_use=-0.8, half_use_rad=3.0)
+    for slip, left in ((0.0, 1.0), (3.0, 0.6), (1e9, 0.2)):
+        assert float(less._amount((zero, jnp.asarray(slip)), still, zero)) == pytest.approx(left)
+
+
 def test_what_begins_at_a_moment_is_as_if_it_had_not_been_before(robot):
     """A marker that slips by 0.02 rad after 0.2 rad of the mean joint's way, and one that has slipped in earlier runs
     already, which is so at the start too."""
@@ -368,7 +377,7 @@ def test_the_moment_at_which_an_effect_begins_has_the_right_derivative(robot):
 def test_what_is_put_on_moved_or_set_may_begin_at_a_moment():
     begun = {i for i, k in REGISTRY.items() if "by_onset" in varying(k).fields()}
     moved = {"rest_curvature", "base_tilt", "tip_payload", "contact", "sensor_bias", "sensor_scale"}
-    assert begun == moved | {"pressure_bias", "pressure_leak", "actuator_delay", "sensor_delay"}
+    assert begun == moved | {"pressure_bias", "pressure_leak", "actuator_gain", "actuator_delay", "sensor_delay"}
     first, last = onsets(48.0, 24)[::23]
     assert (first["onset_rad"], last["onset_rad"], first["over_rad"]) == (1.0, 47.0, 0.48)
 
