@@ -209,14 +209,19 @@ AGED_S = 0.05
 """The age of a contact at which it begins to hold better [s]."""
 
 
+FORGETS_KPA = 2.0
+"""A vacuum under which layers hold the shape in which they were jammed."""
+
+
 class LayerHysteresis(Effect):
     """Interlayer slip with a memory longer than the bristles': springs that stretch by x₀ and by 4 x₀ before they slide
     (Jenkins' elements, a sum of plays), each with a torque of its own, (a + b P) (1 + g x), x from 1 at the base to −1
     at the tip; under pressure they may stretch further, x₀ (1 + w P), as they do where the vacuum makes them slide
     later but no stiffer, and the older their contacts are, x₀ (1 + a ln(1 + t/0.05 s)), t their age, ṫ = 1 − t |q̇|/d.
-    The first may slide little by little, x₀ dz/dq = (1 − z sgn q̇)^p (Dahl's model; Jenkins' for p = 0). And friction
-    that grows with the bend, h φ |q| (1 + g x), turning round within x₀ (Dahl's). A run starts with what has not slid
-    stretched from straight, and no stretch of what has, whose past is not known."""
+    The first may slide little by little, x₀ dz/dq = (1 − z sgn q̇)^p (Dahl's model; Jenkins' for p = 0). Layers that
+    are vented may let go of the shape in which they were jammed: every stretch falls at a rate of f exp(−P/2 kPa). And
+    friction that grows with the bend, h φ |q| (1 + g x), turning round within x₀ (Dahl's). A run starts with what has
+    not slid stretched from straight, and no stretch of what has, whose past is not known."""
 
     id, block, axes = "layer_hysteresis", "jamming", ("direction", "angle", "pressure")
     torque_nm: jax.Array = parameter("N·m", 0.0, 0.0, 5.0, 0.01)
@@ -230,6 +235,7 @@ class LayerHysteresis(Effect):
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
     ages: jax.Array = shape("1", 0.0, 0.0, 3.0, (0.5, 0.0))
     renewed_rad: jax.Array = shape("rad", 0.03, 0.003, 1.0, (0.01,))
+    forgets: jax.Array = shape("1/s", 0.0, 0.0, 50.0, (10.0, 0.0))
 
     def _width(self, vacuum, age):
         return self.width_rad * (1 + self.stretch_per_kpa * vacuum) * (1 + self.ages * jnp.log1p(age / AGED_S))
@@ -266,7 +272,9 @@ class LayerHysteresis(Effect):
         ages = tuple(
             (t + now.h) * jnp.exp(-jnp.abs(x) / self.renewed_rad) for t, x in zip(memory[3], moved, strict=True)
         )
-        return *self._stuck(memory, moved, now.vacuum), ways, ages
+        kept = jnp.exp(-self.forgets * now.h * jnp.exp(-now.vacuum / FORGETS_KPA))
+        near, wide = (tuple(kept * x for x in of) for of in self._stuck(memory, moved, now.vacuum))
+        return near, wide, ways, ages
 
 
 NO_WAY = 1e-6

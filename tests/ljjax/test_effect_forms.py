@@ -1202,6 +1202,23 @@ def test_layers_hold_the_better_the_longer_they_lie():
     assert max(felt) > 1.5 * felt[-1]
 
 
+def test_vented_layers_let_go_of_the_shape_in_which_they_were_jammed():
+    """At 5/s a stretch of 0.02 rad is e⁻¹ of it after 0.2 s without vacuum, and as it was under 20 kPa."""
+    kind: Any = REGISTRY["layer_hysteresis"]
+    layers, h = kind(torque_nm=0.1, width_rad=0.05, forgets=5.0), 0.01
+    felt = {}
+    for vacuum in (0.0, 20.0):
+        q = (jnp.asarray(0.3),)
+        at: Any = SimpleNamespace(q=q, middle=q, phi=(1.0,), vacuum=jnp.asarray(vacuum), h=h)
+        memory = layers.start(at)
+        memory = ((jnp.asarray(0.02),), *memory[1:])
+        for _ in range(20):
+            memory = layers.remember(memory, at, at)
+        felt[vacuum] = -float(layers.load(memory, (jnp.zeros(()),), at)[0])
+    assert felt[0.0] == pytest.approx(0.1 * 0.4 * np.exp(-1), rel=1e-3)
+    assert felt[20.0] == pytest.approx(0.1 * 0.4, rel=1e-3)
+
+
 def test_what_load_presses_together_parts_later():
     """2 s after half of the load has gone, with 2 s, e⁻¹ of what it pressed more is left; it joins at once."""
     kind: Any = REGISTRY["load_dependent_friction"]
