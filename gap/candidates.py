@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
 from ljjax.effect import Effect
-from ljjax.effects.varying import HALFWAY, ways
+from ljjax.effects.varying import EACH, HALFWAY, ways
 from ljjax.fit.coordinates import without_effects
 from ljjax.model import Model
 
@@ -63,9 +63,11 @@ def either_side(trial: Trial, kinds: Sequence[type[Effect]]) -> list[Trial]:
     return out
 
 
-def still(kind: type[Effect]) -> dict[str, float]:
-    """By path how an effect that may vary does, where it does not."""
-    return {path(kind, n): x for n, x in (dict.fromkeys(ways(kind), 0.0) | HALFWAY).items()}
+def still(kind: type[Effect], beside: Collection[str] = ()) -> dict[str, float]:
+    """By path how an effect that may vary does, where it does not; `beside` other parameters, by path: what begins at a
+    moment or is another in each run does not wear in too, which could hardly be told from that."""
+    sudden = any(p.startswith((path(kind, "by_onset"), path(kind, EACH.format("")))) for p in beside)
+    return {path(kind, n): x for n, x in (dict.fromkeys(ways(kind), 0.0) | ({} if sudden else HALFWAY)).items()}
 
 
 def universal(model: Model, kinds: Sequence[type[Effect]]) -> Model:

@@ -258,7 +258,7 @@ class Study:
     def varied(self, refits: Sequence[Refit], stage: str) -> list[Refit]:
         """Refits of effects that are let vary (`ljjax.effects.varying`) in this study, from where they were."""
         kinds = {k.id: k for k in self.kinds}
-        trials = [Trial(r.ids, {**still(kinds[r.ids[0]]), **r.free_effects}) for r in refits]
+        trials = [Trial(r.ids, {**still(kinds[r.ids[0]], r.free_effects), **r.free_effects}) for r in refits]
         begun = [self._begun(r.model, t) for r, t in zip(refits, trials, strict=True)]
         return self._refit(begun, trials, {}, WHOLE, stage)
 

@@ -174,7 +174,7 @@ class Variation:
         free, steps = self.only({i: kinds[i] for i, _ in first}), {}
         for key in first:
             trial, step = free.trial(screen, key)
-            steps[Trial(trial.ids, {**still(kinds[key[0]]), **trial.start})] = step
+            steps[Trial(trial.ids, {**still(kinds[key[0]], trial.start), **trial.start})] = step
         found = free.refit(self.base.model, list(steps), screen, steps, stage, finish=VARYING)
         around = [t for trial in steps for t in either_side(trial, free.kinds)]
         found += free.refit(self.study.start, around, None, stage=f"{stage}, from the given model", finish=VARYING)
