@@ -222,14 +222,6 @@ def test_bad_input_is_refused_by_name(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_one_candidate_that_explains_nothing_is_no_cause(tmp_path):
-    """Nor what cannot begin at a moment, nor be another in each run: there is nothing of that kind to try."""
-    everything_but = [i for i in REGISTRY if i != "viscous_damping"]
-    data = diagnosed(record(tmp_path / "robot", tau=0.35), "--without", *everything_but)
-    contract(data)
-    assert data["verdict"] == "unlisted_effect" and data["selected"] == []
-
-
 OWN = '''
 import jax
 from ljjax.effect import Effect, parameter

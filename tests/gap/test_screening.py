@@ -411,6 +411,17 @@ def test_what_does_nothing_as_it_stands_may_vary_too():
     assert [k.id for k in study.kinds if "by_bend" in k.fields()] == ["viscous_damping"]
 
 
+def test_where_no_candidate_may_vary_so_none_is_asked():
+    """A damping alone on trial can neither begin at a moment nor be another in each run; a study that cannot screen."""
+    any_: Any = SimpleNamespace(worn=np.zeros(2))
+    study = Study(any_, (), [REGISTRY["viscous_damping"]], (any_, any_), 0.0, {"slip": 9.0})
+    variation: Any = Variation(study, any_, any_, lambda refit: 0.5, 900.0)
+    single: dict[str, Any] = {}
+    variation._others(single, variation._sudden(), lambda kind: [{}], "effects that begin at once")
+    variation._by_run(single, np.inf)
+    assert single == {}
+
+
 def test_a_further_effect_begins_as_it_stands_though_it_varied_where_the_first_was_found():
     """It was let vary on trial, and did not come to."""
     tilt, gain = cast(Any, REGISTRY["base_tilt"]), REGISTRY["actuator_gain"]
