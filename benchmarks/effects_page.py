@@ -193,8 +193,8 @@ def page(found: Screen) -> str:
         "|---|---|",
         *(f"| {_parameter(name, able[name])} | {g} |" for name, g in WAYS.items()),
         *(
-            f"| {_parameter(name, able[name])} | H of `by_{name.split('_')[1].replace('warm', 'warmth')}` |"
-            for name in HALFWAY
+            f"| {_parameter(name, able[name])} | H of `{way}` |"
+            for name, way in zip(HALFWAY, ("by_warmth", "by_use"), strict=True)
         ),
         "",
         "What is put on, moved or set may begin at a moment of the session, told by the slip S of the mean joint",

@@ -1,4 +1,4 @@
-"""The pictures of a moving diagnosis: where the gap lies, its causes, runs overlaid, the way it closes."""
+"""The pictures of a moving diagnosis: where the gap lies, its causes, runs overlaid."""
 
 from __future__ import annotations
 
@@ -234,6 +234,3 @@ def overlay(c: Course, models: Sequence[str]) -> Figure:
     figure.align_ylabels([top, low])
     legend(top, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, columnspacing=1.2, handlelength=1.5)
     return figure
-
-
-# --- the way it closes
