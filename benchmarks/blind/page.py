@@ -58,9 +58,7 @@ def write(kept: Path = KEPT, docs: Path = DOCS) -> None:
     code = " and ".join(sorted({f"commit {r['code']}" for r in found["cases"]}))
     lines = [HEAD.format(count=len(found["cases"]), command=command, code=code)]
     lines += _table(GOALS, [_goal(r) for r in found["rows"]])
-    head = ("kind (see [beside the code](../benchmarks/blind/README.md))", "cases", "first answer right")
-    kinds = [(kind, str(k["cases"]), f"{k['top_right']:.3g}") for kind, k in found["by_kind"].items() if k["cases"]]
-    lines += _table(head, kinds)
+    lines += _kinds(found)
     if found["calibration"]["bins"]:
         lines.append(f"{_calibration(found)}\n\n![Reliability](blind_reliability.png)\n\n")
         figures.reliability(found, docs / "blind_reliability.png")
@@ -71,7 +69,7 @@ def write(kept: Path = KEPT, docs: Path = DOCS) -> None:
         seeds = dict.fromkeys(str(r["seed"]) for r in every)
         together = _counted(every)
         lines.append(f"## With the seeds before it\n\n{BEFORE.format(count=len(every), seeds=', '.join(seeds))}\n\n")
-        lines += _table(GOALS, [_goal(r) for r in together["rows"]])
+        lines += [*_table(GOALS, [_goal(r) for r in together["rows"]]), *_kinds(together)]
         lines.append(f"{_calibration(together)}\n\n" if together["calibration"]["bins"] else "")
     lines.append("## Every case\n\n")
     head = ("planted", "gap ÷ noise", "verdict", "first", "selected", "right", "closed")
@@ -82,6 +80,12 @@ def write(kept: Path = KEPT, docs: Path = DOCS) -> None:
 def _counted(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """The scoreboard of rows, with the times measured of them."""
     return judge.scoreboard(rows, {f"{r['seed']}-{r['case']}": r["timing"] for r in rows if r["timing"]})
+
+
+def _kinds(found: Mapping[str, Any]) -> list[str]:
+    head = ("kind (see [beside the code](../benchmarks/blind/README.md))", "cases", "first answer right")
+    rows = [(kind, str(k["cases"]), f"{k['top_right']:.3g}") for kind, k in found["by_kind"].items() if k["cases"]]
+    return _table(head, rows)
 
 
 def _calibration(found: Mapping[str, Any]) -> str:

@@ -108,15 +108,19 @@ class ViscousDamping(Effect):
 
 
 class StiffnessHardening(Effect):
-    """Elasticity nonlinear in the angle: k₃ (1 + g x) q³ (|q|/q₁)^(a − 3), q₁ = 0.1 rad, x from 1 at the base to −1 at
-    the tip; a = 3 is the cubic spring. Times 1 − s + s α₂/α₂(0): s = 0 where the backbone hardens, 1 where all that is
-    elastic does; and 1 + r q/√(q² + w²), w = 0.02 rad, to one side more than to the other. Where one hose through the
-    whole body hardens, q is the mean joint's, for a share h of it."""
+    """Elasticity nonlinear in the angle: k₃ q³ (|q|/q₁)^(a − 3), q₁ = 0.1 rad, k₃ by modes along the body where each
+    joint is logged; a = 3 is the cubic spring. Times 1 − s + s α₂/α₂(0): s = 0 where the backbone hardens, 1 where all
+    that is elastic does; and 1 + r q/√(q² + w²), w = 0.02 rad, to one side more than to the other. Where one hose
+    through the whole body hardens, q is the mean joint's, for a share h of it."""
 
     id, block, axes = "stiffness_hardening", "structure", ("angle",)
     cubic: jax.Array = parameter("N·m/rad³", 0.0, -500.0, 5000.0, 5.0)
+    mode1: jax.Array = parameter("N·m/rad³", 0.0, -2000.0, 2000.0, 3.0)
+    mode2: jax.Array = parameter("N·m/rad³", 0.0, -2000.0, 2000.0, 3.0)
+    mode3: jax.Array = parameter("N·m/rad³", 0.0, -2000.0, 2000.0, 3.0)
+    mode4: jax.Array = parameter("N·m/rad³", 0.0, -2000.0, 2000.0, 3.0)
+    mode5: jax.Array = parameter("N·m/rad³", 0.0, -2000.0, 2000.0, 3.0)
     power: jax.Array = shape("1", 3.0, 1.3, 9.0, (2.0, 3.0, 5.0))
-    to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
     of_layers: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
     one_sided: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.6, 0.0, -0.6))
     as_one: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
@@ -124,10 +128,11 @@ class StiffnessHardening(Effect):
     def load(self, memory, load, now):
         mean = sum(now.middle) / len(now.middle)
         bends = [q + self.as_one * (mean - q) for q in now.middle]
-        more = [self.cubic * q * q * q * power(q, BEND_RAD, self.power - 3) for q in bends]
+        cubic = [self.cubic + x for x in along((self.mode1, self.mode2, self.mode3, self.mode4, self.mode5), len(load))]
+        more = [k * q * q * q * power(q, BEND_RAD, self.power - 3) for k, q in zip(cubic, bends, strict=True)]
         more = [x * s for x, s in zip(more, _sides(self.one_sided, now), strict=True)]
         more = [x * s for x, s in zip(more, of_layers(self.of_layers, now), strict=True)]
-        return tuple(t - s * x for t, s, x in zip(load, towards_base(self.to_base, len(load)), more, strict=True))
+        return tuple(t - x for t, x in zip(load, more, strict=True))
 
 
 class RestCurvature(Effect):
@@ -187,10 +192,18 @@ def _inertia(now: Now, masses: Sequence[Array]) -> list[list[Array]]:
     return rows[::-1]
 
 
+RINGS = 25.0
+"""How a load on a thread swings on (`ljjax.effects.shapes.ringing`): at 0.04 of the critical damping."""
+
+
+ROCKS, ROCKS_BY = 5.0, (0.35, 0.6, 1.0, 1.7, 2.8)
+"""How a slender stand rings, in the searches for one; by how much longer and shorter it takes there."""
+
+
 class BaseTilt(Effect):
     """Gravity not along the unbent body: α₁ sin(q_Σ − δ); and as the weight is spread along it, each link is drawn
-    aside by a force f of its own. A base that is loose rocks by l s more, to the side to which the body hangs:
-    τ ṡ = tanh(q_Σ/q_l) − s."""
+    aside by a force f of its own. A base that is loose, or a slender stand, rocks by l s more, to the side to which the
+    body hangs: τ² s̈ + 2 ζ τ ṡ = tanh(q_Σ/q_l) − s, ζ = 1/√(1 + r²), which rings for r > 1."""
 
     id, block, axes = "base_tilt", "structure", ("everywhere", "angle", "pressure")
     sudden = True
@@ -199,13 +212,19 @@ class BaseTilt(Effect):
     loose_rad: jax.Array = parameter("rad", 0.0, -0.5, 0.5, 0.05)
     hangs_rad: jax.Array = shape("rad", 0.2, 0.01, 2.0, (0.2,))
     rocks_s: jax.Array = shape("s", 0.3, 0.01, 20.0, (0.3,))
+    rings: jax.Array = shape("1", 0.0, 0.0, RINGS, (ROCKS, 0.0))
+
+    @classmethod
+    def likewise(cls, values):
+        return [{**values, "rings": ROCKS, "rocks_s": much * values["rocks_s"]} for much in ROCKS_BY]
 
     def start(self, now):
-        return (jnp.tanh(sum(now.q) / self.hangs_rad),)
+        side = jnp.tanh(sum(now.q) / self.hangs_rad)
+        return side, 0.0 * side
 
     def remember(self, memory, now, after):
-        side = jnp.tanh(sum(now.middle) / self.hangs_rad)
-        return (lagged(side, memory[0], self.rocks_s, now.h)[1],)
+        side, tau = jnp.tanh(sum(now.middle) / self.hangs_rad), self.rocks_s / jnp.sqrt(1 + self.rings**2)
+        return ringing(side, *memory, tau, self.rings, now.h)[1:]
 
     def load(self, memory, load, now):
         total = sum(now.middle)
@@ -235,10 +254,6 @@ def _sums(links: Sequence[Array], part: Vector) -> Vector:
     for i in range(len(own) - 2, -1, -1):
         own[i] = own[i] + own[i + 1]
     return tuple(own)
-
-
-RINGS = 25.0
-"""How a load on a thread swings on (`ljjax.effects.shapes.ringing`): at 0.04 of the critical damping."""
 
 
 class TipPayload(Effect):

@@ -596,6 +596,15 @@ def test_a_body_may_harden_to_one_side_more_than_to_the_other(robot):
     np.testing.assert_allclose(felt, [-2.0 * 0.027 * 1.6, 2.0 * 0.027 * 0.4], rtol=5e-3)
 
 
+def test_a_body_may_harden_in_some_joints_alone(robot):
+    """P₁ − P₂ is −2, ½ and 0 along three joints: with a mean of 2 all of it is in the middle and at the tip."""
+    kind: Any = REGISTRY["stiffness_hardening"]
+    model, bent, none = robot(3), jnp.asarray(0.3), jnp.zeros(())
+    now: Any = SimpleNamespace(model=model, middle=(bent,) * 3, vacuum=none, alpha2=(jnp.ones(()),) * 3)
+    felt = kind(cubic=2.0, mode1=1.0, mode2=-1.0).load((), (none,) * 3, now)
+    np.testing.assert_allclose(felt, -0.027 * np.array([0.0, 2.5, 2.0]), rtol=5e-3, atol=1e-9)
+
+
 def test_a_slack_tendon_is_wound_up_before_the_body_feels_it():
     """Paid out within a tenth of a second, wound up in 20 ms at 10 N and in less the more pulls; in no less where the
     spool winds as fast under any load."""
@@ -842,9 +851,12 @@ def test_grease_may_thin_while_it_is_sheared_and_set_again():
 
 
 def test_a_base_that_is_loose_rocks_to_the_side_to_which_the_body_hangs(robot):
-    """By 0.1 rad within 0.3 s, as a base tilted so far the other way."""
+    """By 0.1 rad with two lags of 0.3 s, or on a slender stand to and fro, as a base tilted so far the other way."""
     kind: Any = REGISTRY["base_tilt"]
-    loose, model = kind(loose_rad=-0.1, hangs_rad=0.01, rocks_s=0.3), robot(2)
+    model, t, rings = robot(2), 0.01 * np.arange(1, 61), 7.0
+    damping = 1 / np.sqrt(1 + rings**2)
+    own = np.sqrt(1 - damping**2) / 0.3
+    swings = np.exp(-damping * t / 0.3) * (np.cos(own * t) + damping / (0.3 * own) * np.sin(own * t))
 
     def at(q: float) -> Any:
         joints = (jnp.asarray(q),) * 2
@@ -852,15 +864,16 @@ def test_a_base_that_is_loose_rocks_to_the_side_to_which_the_body_hangs(robot):
         now.sin, now.cos = (jnp.zeros(()),) * 2, (jnp.ones(()),) * 2
         return now
 
-    memory = loose.start(at(0.2))
-    for k in range(60):
-        memory = loose.remember(memory, at(-0.2), None)
-        side = -1 + 2 * np.exp(-(k + 1) * 0.01 / 0.3)
-        felt, tilted = (
-            e.load(m, (jnp.zeros(()),) * 2, at(-0.2))
-            for e, m in ((loose, memory), (kind(tilt_rad=-0.1 * side), (0.0,)))
-        )
-        np.testing.assert_allclose(np.array(felt), np.array(tilted), rtol=1e-4, atol=1e-9)
+    for r, left in ((0.0, np.exp(-t / 0.3) * (1 + t / 0.3)), (rings, swings)):
+        loose = kind(loose_rad=-0.1, hangs_rad=0.01, rocks_s=0.3, rings=r)
+        memory = loose.start(at(0.2))
+        for side in -1 + 2 * left:
+            memory = loose.remember(memory, at(-0.2), None)
+            felt, tilted = (
+                e.load(m, (jnp.zeros(()),) * 2, at(-0.2))
+                for e, m in ((loose, memory), (kind(tilt_rad=-0.1 * side), (0.0, 0.0)))
+            )
+            np.testing.assert_allclose(np.array(felt), np.array(tilted), rtol=1e-4, atol=1e-9)
 
 
 def test_a_load_beside_the_axis_is_a_load(robot):
