@@ -354,7 +354,8 @@ def gather(
     base, r, sigma = _projected(first)
     count = base.shape[2]
     extra = np.concatenate([_projected(s, first)[0] for s in searches[1:]], axis=2)
-    extra[..., ~np.isfinite(extra).all(axis=(0, 1))] = 0.0  # what has no slope somewhere promises nothing
+    for slopes in (base, extra):
+        slopes[..., ~np.isfinite(slopes).all(axis=(0, 1))] = 0.0  # what has no slope somewhere promises nothing
     n, c, m = extra.shape
     flat_base, flat, flat_r = base.reshape(n * c, count), extra.reshape(n * c, m), r.reshape(-1)
     q, triangle = np.linalg.qr(flat_base)

@@ -323,7 +323,7 @@ class Study:
         if forms_of is None:
             span, waves = {**self.span, **screening.clock_of(from_.estimate)}, screening.waves(from_.estimate)
             forms_of = partial(pilots, span=span, waves=waves)
-        names, whole = [*self.names, *chosen], self._begun(from_.model, from_.trial)
+        names, whole = [*self.names, *chosen], self._begun(from_.model, Trial(from_.ids, from_.free_effects))
         asked, said, forms = screening.screen(whole, names, self.kinds, self.motions, self.pressure, QUICK, forms_of)
         found = together(asked, self._tell("screening"))
         for f in found:

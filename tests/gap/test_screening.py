@@ -11,6 +11,7 @@ import pytest
 
 from ljjax.effects import REGISTRY
 from ljjax.effects.varying import HALFWAY, WAYS, varies, varying
+from ljjax.gap import screening
 from ljjax.gap.candidates import Trial, either_side, pilots, sizes
 from ljjax.gap.channels import Channel, Fitted, Measured, _Inputs, look
 from ljjax.gap.screening import Column, Screen, beat, clock, gather, waves
@@ -433,6 +434,22 @@ def test_a_further_effect_begins_as_it_stands_though_it_varied_where_the_first_w
     values = {n: float(getattr(e, n)) for e in begun.effects for n in e.fields() if float(getattr(e, n)) != 0}
     shapes = {n: about["null"] for k in (tilt, gain) for n, about in k.fields().items() if about["null"]}
     assert values == {"tilt_rad": 0.1, "difference": 0.02, "error": 0.05, **shapes}
+
+
+def test_a_screen_on_top_of_a_refit_is_of_where_that_came_to(monkeypatch):
+    """Not of where its search began."""
+    tilt, gain = cast(Any, REGISTRY["base_tilt"]), REGISTRY["actuator_gain"]
+    key, seen, any_ = "effects.base_tilt.tilt_rad", [], cast(Any, None)
+    model = dataclasses.replace(robot(), effects=(tilt(tilt_rad=0.1),))
+    refit: Any = SimpleNamespace(ids=("base_tilt",), model=model, trial=Trial(("base_tilt",), {key: 0.4}))
+    refit.free_effects = {key: 0.1}
+    monkeypatch.setattr(screening, "screen", lambda whole, names, *_: (seen.append((whole, names)) or [], [], {}))
+    monkeypatch.setattr(screening, "gather", lambda *_: None)
+    study = Study(any_, ("elastic.c1",), [tilt, gain], (), 0.0, {})
+    study.screen(refit, lambda kind: [{}])
+    ((whole, names),) = seen
+    assert names == ["elastic.c1", key]
+    assert [float(e.tilt_rad) for e in whole.effects if e.id == "base_tilt"] == [0.1]
 
 
 def test_a_gap_in_one_joint_of_six_counts_for_what_it_is():
