@@ -10,6 +10,8 @@ from ljjax.effects.shapes import lagged, positive, power, towards_base, turned
 
 LOAD_N, RUBS_NM = 10.0, 10.0
 """Load at which a friction is the same by any power of it, and φ at which it is whether it goes with φ or not."""
+HARDLY_NM = 0.1
+"""A friction that hardly is one: φ₁ of `LoadDependentFriction`."""
 BEND_RAD, EVEN_RAD = 0.1, 1e-4
 """Bend at which a tendon presses as much where it is bent as elsewhere, and below which that counts as even [rad]."""
 
@@ -17,13 +19,15 @@ BEND_RAD, EVEN_RAD = 0.1, 1e-4
 class FrictionAsymmetry(Effect):
     """Loading and unloading rub differently. Where a joint bends further the bristles slip at 1 + a of their bend, and
     their whole torque is 1 + b of what it would be; where it straightens, at 1 − a and 1 − b. Both a and b are times
-    |q|/√(q² + w²), so that for a large w they grow with the bend, and turn round within the rotation x₀ (Dahl's)."""
+    |q|/√(q² + w²), so that for a large w they grow with the bend, and turn round within the rotation x₀ (Dahl's); and
+    times 1 + r q/√(q² + w²), to one side more than to the other."""
 
     id, block, axes = "friction_asymmetry", "friction", ("direction", "angle")
     share: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.15)
     whole: jax.Array = parameter("1", 0.0, -0.9, 0.9, 0.15)
     bent_rad: jax.Array = shape("rad", 0.015, 0.002, 1.0, (0.08, 0.015))
     turn_rad: jax.Array = shape("rad", 0.004, 5e-4, 0.2, (0.02, 0.004))
+    one_sided: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.8, 0.0, -0.8))
 
     def start(self, now):
         return tuple(0.0 * q for q in now.q)
@@ -38,7 +42,7 @@ class FrictionAsymmetry(Effect):
         """From 1 where a joint bends further to −1 where it straightens."""
         bent = [q / jnp.sqrt(q * q + self.bent_rad * self.bent_rad) for q in after.q]
         return tuple(
-            turned(further, b - a, self.turn_rad, goal=x)
+            turned(further, b - a, self.turn_rad, goal=x * (1 + self.one_sided * x))
             for further, a, b, x in zip(memory, now.q, after.q, bent, strict=True)
         )
 
@@ -47,8 +51,9 @@ class LoadDependentFriction(Effect):
     """Tendon load presses the layers: φ + (k N(u₁ + u₂) + k_d N(u₁ − u₂)) (1 + g x) (1 − b + b |q|/q₀), N(u) = w
     (w/u₀)^(p − 1), w = (|u| − T₀)₊, u₀ = 10 N, T₀ from where tendons press at all; x from 1 at the base, where the
     loads of all joints add up, to −1 at the tip; a share b presses where a tendon goes round a bend, q₀ = 0.1 rad; and
-    times 1 − s + s φ/φ₀, φ₀ = 10 N·m, where load and vacuum press the same layers. What is pressed together may come to
-    N with a time constant, and part with another."""
+    times 1 − s + s φ/φ₀, φ₀ = 10 N·m, where load and vacuum press the same layers. Where load presses as more vacuum
+    would, whose root friction goes with, a share v of it is √(φ² + φ₁² + 2 φ₀ k N) − √(φ² + φ₁²) instead, φ₁ = 0.1 N·m.
+    What is pressed together may come to N with a time constant, and part with another."""
 
     id, block, axes = "load_dependent_friction", "friction", ("load", "direction", "angle")
     gain: jax.Array = parameter("N·m/N", 0.0, 0.0, 20.0, 0.1)
@@ -60,6 +65,7 @@ class LoadDependentFriction(Effect):
     parts_s: jax.Array = shape("s", 0.0, 0.0, 60.0, (2.0, 0.0))
     of_layers: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     from_n: jax.Array = shape("N", 0.0, 0.0, 100.0, (0.2, 0.0), "tension")
+    as_vacuum: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
 
     def _presses(self, now):
         left, right = now.u
@@ -82,8 +88,13 @@ class LoadDependentFriction(Effect):
         more = self.gain * presses[0] + self.of_net * presses[1]
         bends = [1 - self.bent + self.bent * jnp.sqrt(q * q + EVEN_RAD**2) / BEND_RAD for q in now.q]
         along = towards_base(self.to_base, len(phi))
-        with_vacuum = [1 + self.of_layers * (p / RUBS_NM - 1) for p in phi]
-        return tuple(p + more * s * b * v for p, s, b, v in zip(phi, along, bends, with_vacuum, strict=True))
+        out = []
+        for p, s, b in zip(phi, along, bends, strict=True):
+            x = more * s * b
+            root = jnp.sqrt(p * p + HARDLY_NM**2 + 2 * RUBS_NM * x) - jnp.sqrt(p * p + HARDLY_NM**2)
+            plain = x * (1 + self.of_layers * (p / RUBS_NM - 1))
+            out.append(p + plain + self.as_vacuum * (root - plain))
+        return tuple(out)
 
 
 SMALL = 1e-5

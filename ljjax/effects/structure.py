@@ -384,7 +384,7 @@ class Contact(Effect):
     """One-sided contact, on the side the angle q_c says: an end stop k_c (q − q_c)₊ in every joint, stiffer to
     the base, or the tip, by a share g; and an obstacle beside the tip, or beside what lies a share of the body's length
     from the base, where that is when every joint is at q_c, that pushes back with k_t times the way beyond it and rubs
-    with μ times that, along the unbent body."""
+    with μ times that, along the unbent body. It may be shoved along by more than a force 1/y, and stays there."""
 
     id, block, axes = "contact", "structure", ("angle",)
     sudden = True
@@ -394,31 +394,41 @@ class Contact(Effect):
     rough: jax.Array = shape("1", 0.4, 0.0, 2.0, (0.4,))
     share: jax.Array = shape("1", 1.0, 0.1, 1.0, (0.5, 1.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
+    yields: jax.Array = shape("1/N", 0.0, 0.0, 100.0, (2.0, 0.0))
+
+    def start(self, now):
+        return (0.0 * now.h,)
+
+    def remember(self, memory, now, after):
+        return (self._obstacle(memory[0], now)[-1],)
 
     def torque(self, memory, i, q, v, stage):
         side = jnp.where(self.angle_rad < 0, -1.0 + 0.0 * q, 1.0 + 0.0 * q)
         place = towards_base(self.to_base, len(stage.alpha2))[i]
         return self.stop * place * side * positive(side * (q - self.angle_rad))
 
-    def _obstacle(self, now: Now) -> tuple[Array, Vector, Array, Vector]:
+    def _obstacle(self, shoved: Array, now: Now) -> tuple[Array, Vector, Array, Vector, Array]:
         """The obstacle's force [N] and how far each joint moves what it touches towards it [m]; how heavily it damps
-        what goes along the unbent body [N·s/m], and how far each joint moves what it touches there [m]."""
+        what goes along the unbent body [N·s/m], and how far each joint moves what it touches there [m]; and how far it
+        has been shoved by the step's end [m], where it has been so far at its start."""
         links = _links(now.model, self.share)
         across, along = _sums(links, now.sin), _sums(links, now.cos)
         at = sum(x * jnp.sin((i + 1) * self.angle_rad) for i, x in enumerate(links))
         side = jnp.where(self.angle_rad < 0, -1.0 + 0.0 * at, 1.0 + 0.0 * at)
-        force = self.obstacle * positive(side * (across[0] - at))
+        beyond = positive(side * (across[0] - at) - shoved)
+        over = jnp.maximum(self.yields * self.obstacle * beyond, 1.0)
+        force, shoved = self.obstacle * beyond / over, shoved + beyond * (1 - 1 / over)
         slides = sum(a * v for a, v in zip(across, now.v, strict=True))
-        return side * force, along, self.rough * force / jnp.sqrt(slides * slides + CREEP_M_S**2), across
+        return side * force, along, self.rough * force / jnp.sqrt(slides * slides + CREEP_M_S**2), across, shoved
 
     def load(self, memory, load, now):
-        force, along, rubs, across = self._obstacle(now)
+        force, along, rubs, across, _ = self._obstacle(memory[0], now)
         more = rubs * sum(a * v for a, v in zip(across, now.v, strict=True))
         return tuple(x - force * a - more * b for x, a, b in zip(load, along, across, strict=True))
 
     def inertia(self, memory, m, now):
         """What friction becomes by the step's end, as inertia h c aᵀa: it is solved for with the rates, so that a tip
         that sticks is not too much for the step."""
-        _, _, rubs, across = self._obstacle(now)
+        _, _, rubs, across, _ = self._obstacle(memory[0], now)
         more = now.h * rubs
         return tuple(tuple(e + more * across[i] * across[k] for k, e in enumerate(row)) for i, row in enumerate(m))

@@ -326,10 +326,31 @@ def test_an_obstacle_rubs_with_its_share_of_what_it_pushes_with(robot):
     now: Any = SimpleNamespace(
         model=robot(3), middle=tuple(q), v=tuple(v), sin=tuple(np.sin(psi)), cos=tuple(np.cos(psi))
     )
-    smooth, rubbed = (np.array(rough_contact(r).load((), (jnp.zeros(()),) * 3, now)) for r in (0.0, 0.5))
+    smooth, rubbed = (np.array(rough_contact(r).load((0.0,), (jnp.zeros(()),) * 3, now)) for r in (0.0, 0.5))
     tip, at = np.sin(psi) @ reach, np.sin(0.02 * np.arange(1, 4)) @ reach
     slide = np.sin(psi) * np.cumsum(v) @ reach
     assert (rubbed - smooth) @ v == pytest.approx(-0.5 * 300.0 * (tip - at) * abs(slide), rel=0.02)
+
+
+def test_an_obstacle_that_is_shoved_along_pushes_no_more_and_stays_there(robot):
+    """Of 300 N/m, by more than 0.5 N: its force follows the tip's way less that by which it has been shoved."""
+    contact: Any = REGISTRY["contact"]
+    model, none = robot(1), jnp.zeros(())
+    box, way = contact(angle_rad=0.02, obstacle=300.0, rough=0.0, yields=2.0), float(model.chain.half_length_m)
+
+    def at(q: float) -> Any:
+        x = jnp.asarray(q)
+        return SimpleNamespace(model=model, middle=(x,), v=(none,), sin=(jnp.sin(x),), cos=(jnp.cos(x),))
+
+    memory, shoved = (none,), 0.0
+    for q in (0.03, 0.2, 0.4, 0.35, 0.39, 0.5):
+        beyond = way * (np.sin(q) - np.sin(0.02)) - shoved
+        force, shoved = min(300.0 * max(beyond, 0.0), 0.5), shoved + max(beyond - 0.5 / 300.0, 0.0)
+        (felt,) = box.load(memory, (none,), at(q))
+        assert float(felt) == pytest.approx(-force * way * np.cos(q), abs=1e-9)
+        memory = box.remember(memory, at(q), None)
+        assert float(memory[0]) == pytest.approx(shoved, abs=1e-12)
+    assert 0 < shoved < way * (np.sin(0.5) - np.sin(0.02))
 
 
 def test_a_tip_that_sticks_to_an_obstacle_is_stable_at_long_steps(robot):
@@ -539,6 +560,8 @@ def test_load_presses_by_a_power_of_it_more_towards_the_base_and_more_where_it_g
     np.testing.assert_allclose(more(40.0, power=0.5, to_base=0.5), 2 * along, rtol=1e-5)
     np.testing.assert_allclose(more(10.0, bent=1.0), [0.0, 2.0, 4.0], atol=3e-3)
     np.testing.assert_allclose(more(10.0, of_layers=1.0), 2.0 * 2.0 / 10.0, rtol=1e-5)  # at φ = 2 N·m
+    as_vacuum = np.sqrt(2.0**2 + 2 * 10.0 * 2.0) - 2.0  # c₅ √(P + κ u) − c₅ √P, where c₅² κ u is 40 (N·m)²
+    np.testing.assert_allclose(more(10.0, as_vacuum=1.0), as_vacuum, rtol=2e-3)
 
 
 NO_SLIP = (jnp.zeros(()),)
@@ -1003,12 +1026,14 @@ def test_friction_differs_more_the_more_a_joint_is_bent():
         (jnp.asarray(2.0),) * 3,
     )
 
-    def scaled(w: float) -> Any:
-        effect = kind(whole=0.5, bent_rad=w, turn_rad=5e-4)
+    def scaled(w: float, **form: float) -> Any:
+        effect = kind(whole=0.5, bent_rad=w, turn_rad=5e-4, **form)
         return effect.phi(effect.remember(effect.start(here), here, there), phi, there)
 
     np.testing.assert_allclose(scaled(0.002), (3.0, 3.0, 1.0), rtol=1e-3)
     np.testing.assert_allclose(np.subtract(scaled(1.0), 2.0), (0.05, 0.1, -0.1), rtol=1e-2)
+    to_one_side = np.subtract(scaled(0.002, one_sided=0.6), 2.0) / np.subtract(scaled(0.002), 2.0)
+    np.testing.assert_allclose(to_one_side, 1 + 0.6 * np.sign([float(q) for q in after]), rtol=1e-2)
 
 
 def test_loading_and_unloading_change_places_within_a_rotation():
@@ -1029,7 +1054,7 @@ def test_an_obstacle_beside_the_body_leaves_the_joints_beyond_it_free(robot):
     psi, zero = np.cumsum(q), (0.0,) * 3
     now: Any = SimpleNamespace(model=robot(3), middle=tuple(q), v=zero, sin=tuple(np.sin(psi)), cos=tuple(np.cos(psi)))
     beside = contact(angle_rad=0.02, obstacle=300.0, rough=0.0, share=0.5)  # half a link beyond the second joint
-    load = np.array(beside.load((), (jnp.zeros(()),) * 3, now))
+    load = np.array(beside.load((zero[0],), (jnp.zeros(()),) * 3, now))
     links = 2 * float(robot(3).chain.half_length_m) * np.array([1.0, 0.25])
     force = 300.0 * (np.sin(psi[:2]) - np.sin([0.02, 0.04])) @ links
     arms = [np.cos(psi[:2]) @ links, np.cos(psi[1]) * links[1], 0.0]
