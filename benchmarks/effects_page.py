@@ -194,7 +194,7 @@ def page(found: Screen) -> str:
         *(f"| {_parameter(name, able[name])} | {g} |" for name, g in WAYS.items()),
         *(
             f"| {_parameter(name, able[name])} | H of `{way}` |"
-            for name, way in zip(HALFWAY, ("by_warmth", "by_use"), strict=True)
+            for name, way in zip(HALFWAY, ("by_warmth", "by_use", "by_time"), strict=True)
         ),
         "",
         "What is put on, moved or set may begin at a moment of the session, told by the slip S of the mean joint",

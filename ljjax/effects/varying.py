@@ -1,4 +1,4 @@
-"""Effects that grow and shrink with load, vacuum, bend, rate, warmth, use and the sense of motion: `varying`.
+"""Effects that grow and shrink with load, vacuum, bend, rate, warmth, use, time and sense of motion: `varying`.
 
 No real robot's effect has quite the form that a library gives it. The sizes of a varying effect are m times what they
 say,
@@ -31,8 +31,8 @@ from ljjax.effects.shapes import gone
 
 LOAD_N, VACUUM_KPA, BEND_RAD, RATE_RAD_S, SENSE_RAD2_S = 10.0, 15.0, 0.4, 0.5, 0.005
 """Where what an effect varies with is halfway."""
-HALFWAY = {"half_warm_k": 2.0, "half_use_rad": 10.0}
-"""The same, H, for what goes on all session long and so may tell it; a search begins from these."""
+HALFWAY = {"half_warm_k": 2.0, "half_use_rad": 10.0, "half_time_s": 5.0}
+"""The same, H, for what goes on all session, or run, long and so may tell it; a search begins from these."""
 WAYS = {
     "by_load": f"T/(T + {LOAD_N:g} N), T both tensions together; its own, for what acts on a tendon by itself",
     "by_vacuum": f"P/(P + {VACUUM_KPA:g} kPa)",
@@ -40,14 +40,15 @@ WAYS = {
     "by_rate": f"v²/(v² + ({RATE_RAD_S:g} rad/s)²), v of the mean joint",
     "by_warmth": "W/(abs(W) + H), W the warming since the first run, `thermal_drift`'s if none is logged",
     "by_use": "S/(S + H), S the way gone by the mean joint since the first run began",
+    "by_time": "t/(t + H), t since the run began",
     "by_sense": f"qv/(abs(qv) + {SENSE_RAD2_S:g} rad²/s), positive where the body bends further",
 }
 """What an effect may vary with, and how."""
 ONSET = {"by_onset": "b", "onset_rad": "S₁", "over_rad": "S₂"}
 """What says when a sudden effect changes, beside `WAYS`, and its sign; of no account where b is 0."""
 PILOTS = (
-    *((way, 8.0) for way in ("by_load", "by_vacuum", "by_bend", "by_rate", "by_warmth", "by_use")),
-    *((way, -1.0) for way in ("by_warmth", "by_use")),  # what wears in, or thins as it warms
+    *((way, 8.0) for way in ("by_load", "by_vacuum", "by_bend", "by_rate", "by_warmth", "by_use", "by_time")),
+    *((way, -1.0) for way in ("by_warmth", "by_use", "by_time")),  # what wears in, thins as it warms, or settles
     *(("by_sense", much) for much in (1.0, -1.0)),
 )
 """Ways of varying much from which a search begins."""
@@ -55,7 +56,7 @@ EACH, UNTIL = "in_run{}", "until{}_rad"
 """cᵣ, and the slip at the start of a run from which on it is not this one [rad]; runs count from 1."""
 BRIEFLY = 0.01
 """The share of a session's slip over which an effect begins from which a search does."""
-AT_THE_SENSOR = ("by_bend", "by_rate", "by_warmth", "by_use")
+AT_THE_SENSOR = ("by_bend", "by_rate", "by_warmth", "by_use", "by_time")
 """The ways in which an effect of sensing may vary: a camera sees the body, not its load nor its vacuum."""
 LEAST = 0.02
 """The share of a slip that a varying effect leaves at least."""
@@ -68,15 +69,17 @@ class _Varying(Effect):
     by_rate: Array = variation(-1.0, 20.0)
     by_warmth: Array = variation(-1.0, 20.0)
     by_use: Array = variation(-1.0, 20.0)
+    by_time: Array = variation(-1.0, 20.0)
     by_sense: Array = variation(-1.0, 1.0)
     half_warm_k: Array = variation(0.05, 50.0, "K", HALFWAY["half_warm_k"])
     half_use_rad: Array = variation(0.1, 1e3, "rad", HALFWAY["half_use_rad"])
+    half_time_s: Array = variation(0.05, 1e3, "s", HALFWAY["half_time_s"])
 
     def _amount(self, memory: Memory, now: Now, load: Array) -> Array:
         """m of a step under a load [N]; in memory the slip at the run's start, and so far [rad]."""
         n, load = len(now.q), jnp.maximum(load, 0.0)
         bend, rate = sum(now.q) / n, sum(now.v) / n
-        turn = bend * rate
+        turn, t = bend * rate, jnp.maximum(now.t, 0.0)
         share = (
             (self.by_load, load / (load + LOAD_N)),
             (self.by_vacuum, now.vacuum / (now.vacuum + VACUUM_KPA)),
@@ -84,6 +87,7 @@ class _Varying(Effect):
             (self.by_rate, rate**2 / (rate**2 + RATE_RAD_S**2)),
             (self.by_warmth, now.warm / (jnp.abs(now.warm) + self.half_warm_k)),
             (self.by_use, memory[1] / (memory[1] + self.half_use_rad)),
+            (self.by_time, t / (t + self.half_time_s)),
             (self.by_sense, turn / (jnp.abs(turn) + SENSE_RAD2_S)),
         )
         return jnp.maximum(1 + sum(a * g for a, g in share), 0.0) * self._begun(memory)

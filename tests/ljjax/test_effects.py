@@ -247,7 +247,7 @@ def test_a_robot_may_cool():
     """By any number of kelvin: what it varies with stays between −1 and 1."""
     kind: Any = varying(REGISTRY["base_tilt"])
     zero = jnp.zeros(())
-    still: Any = SimpleNamespace(q=(zero,), v=(zero,), vacuum=zero)
+    still: Any = SimpleNamespace(q=(zero,), v=(zero,), vacuum=zero, t=zero)
     still.warm = zero
     assert (
         float(kind(by_load=5.0)._amount((zero, zero), still, jnp.asarray(-10.0))) == 1.0
@@ -257,13 +257,14 @@ def test_a_robot_may_cool():
         np.testing.assert_allclose(kind(by_warmth=1.0)._amount((zero, zero), still, zero), expected, atol=1e-5)
 
 
-def test_what_wears_in_is_half_done_where_it_says():
+def test_what_wears_in_or_settles_in_each_run_is_half_done_where_it_says():
     kind: Any = varying(REGISTRY["actuator_deadband"])
     zero = jnp.zeros(())
-    still: Any = SimpleNamespace(q=(zero,), v=(zero,), vacuum=zero, warm=zero)
-    less = kind(by_use=-0.8, half_use_rad=3.0)
-    for slip, left in ((0.0, 1.0), (3.0, 0.6), (1e9, 0.2)):
-        assert float(less._amount((zero, jnp.asarray(slip)), still, zero)) == pytest.approx(left)
+    less, settles = kind(by_use=-0.8, half_use_rad=3.0), kind(by_time=-0.8, half_time_s=3.0)
+    for x, left in ((0.0, 1.0), (3.0, 0.6), (1e9, 0.2)):
+        still: Any = SimpleNamespace(q=(zero,), v=(zero,), vacuum=zero, warm=zero, t=jnp.asarray(x))
+        assert float(less._amount((zero, jnp.asarray(x)), still, zero)) == pytest.approx(left)
+        assert float(settles._amount((zero, zero), still, zero)) == pytest.approx(left)
 
 
 def test_what_begins_at_a_moment_is_as_if_it_had_not_been_before(robot):
@@ -392,5 +393,5 @@ def test_a_model_file_holds_how_an_effect_varies(tmp_path, robot):
 
 
 def test_a_camera_feels_neither_load_nor_vacuum():
-    assert set(ways(REGISTRY["sensor_scale"])) == {"by_bend", "by_rate", "by_warmth", "by_use"}
+    assert set(ways(REGISTRY["sensor_scale"])) == {"by_bend", "by_rate", "by_warmth", "by_use", "by_time"}
     assert set(ways(REGISTRY["tendon_friction"])) == set(WAYS)
