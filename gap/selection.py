@@ -162,9 +162,10 @@ class Selection:
         return found
 
     def _likewise(self, found: Sequence[Refit]) -> list[Refit]:
-        """The leaders begun once more with other parameters that do much the same, if they have any."""
+        """The leaders begun once more with other parameters that do much the same, if they have any; more of them where
+        none explains the gap."""
         kinds, out = {k.id: k for k in self.study.kinds}, list[Refit]()
-        for r in _leading(found, CLOSE):
+        for r in _leading(found, CLOSE if self._least(found) < WELL else WIDE):
             kind, values = kinds[r.ids[0]], {p.split(".")[2]: x for p, x in r.free_effects.items()}
             others = kind.likewise(values) if self.own_left(r) > ALIKE else []
             trials = [Trial(r.ids, {path(kind, n): x for n, x in other.items()}) for other in others]

@@ -376,6 +376,8 @@ class NonuniformStiffness(Effect):
         return tuple(a + d * x * s for a, x, d, s in zip(alpha2, parts, modes, sides, strict=True))
 
 
+HARD_N_M, SHOVED_N = 1000.0, (0.15, 0.4, 1.0, 2.5)
+"""A hard obstacle, and forces that may shove one along, in the searches for one."""
 CREEP_M_S = 1e-3
 """How fast the tip slides along an obstacle where it is held by 0.7 of its friction."""
 
@@ -395,6 +397,10 @@ class Contact(Effect):
     share: jax.Array = shape("1", 1.0, 0.1, 1.0, (0.5, 1.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
     yields: jax.Array = shape("1/N", 0.0, 0.0, 100.0, (2.0, 0.0))
+
+    @classmethod
+    def likewise(cls, values):
+        return [{**values, "obstacle": HARD_N_M, "yields": 1 / most, "stop": 0.0} for most in SHOVED_N]
 
     def start(self, now):
         return (0.0 * now.h,)
