@@ -108,11 +108,12 @@ class ThermalDrift(Effect):
     is logged ΔT is that of a robot that warms while it runs and cools in between, towards 10 K and back within 600 s,
     10 K (1 − exp(−t/600 s)) in a first run, and c says how much faster it is, or slower. What lies inside may follow
     with a time constant τ, from i ΔT at a run's start. Joints near what warms them may feel more of it: b (1 + g x) for
-    friction, x from 1 at the base to −1 at the tip."""
+    friction, x from 1 at the base to −1 at the tip. Of what is viscous in friction, σ₂, as grease thins, by W too."""
 
     id, block, axes = "thermal_drift", "friction", ("run", "time", "direction")
     friction_per_k: jax.Array = parameter("1/K", 0.0, -2.0, 2.0, 0.01)
     stiffness_per_k: jax.Array = parameter("1/K", 0.0, -2.0, 2.0, 0.01)
+    viscous_per_k: jax.Array = parameter("1/K", 0.0, -2.0, 2.0, 0.02)
     curve_per_k: jax.Array = shape("1/K", 0.0, -0.3, 3.0, (0.6, 0.0))
     falls_per_k: jax.Array = shape("1/K", 0.0, 0.0, 3.0, (0.2, 0.0))
     from_k: jax.Array = shape("K", 0.0, 0.0, 100.0, (0.4, 0.0), "warmth")
@@ -148,3 +149,6 @@ class ThermalDrift(Effect):
             p * (1 + self.friction_per_k * place * warmed)
             for p, place in zip(phi, towards_base(self.to_base, len(phi)), strict=True)
         )
+
+    def torque(self, memory, i, q, v, stage):
+        return stage.phi[i] * stage.friction.sigma2 * v * self.viscous_per_k * self._warmed(memory[0])

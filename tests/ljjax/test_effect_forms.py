@@ -765,6 +765,16 @@ def test_warmth_may_be_near_the_base():
     np.testing.assert_allclose(got, [1 - 0.3, 1 - 0.2, 1 - 0.1], rtol=1e-4)
 
 
+def test_grease_thins_as_it_warms():
+    """By the half at W = 5 K for b = −0.1/K: so much less of φ σ₂ v."""
+    kind: Any = REGISTRY["thermal_drift"]
+    warm: Any = SimpleNamespace(warm=jnp.asarray(5.0), h=jnp.asarray(0.01))
+    stage: Any = SimpleNamespace(phi=(jnp.asarray(4.0),), friction=SimpleNamespace(sigma2=jnp.asarray(0.02)))
+    thin = kind(viscous_per_k=-0.1)
+    felt = thin.torque(thin.start(warm), 0, jnp.zeros(()), jnp.asarray(3.0), stage)
+    assert float(felt) == pytest.approx(-0.5 * 4.0 * 0.02 * 3.0, rel=1e-3)
+
+
 def test_tendons_may_press_from_some_load_on():
     kind: Any = REGISTRY["load_dependent_friction"]
     press = kind(gain=0.1, from_n=8.0)
