@@ -69,12 +69,12 @@ def code() -> str:
 
 
 def command(args: Sequence[str], where: Path, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
-    """`ljjax ARGS` in a process of its own, started in the folder `where`; exit code 124 where it took too long."""
+    """`ljjax ARGS` of this work tree, whichever is installed, in a process of its own, started in the folder `where`;
+    exit code 124 where it took too long."""
     line = [sys.executable, "-m", "ljjax", *args]
+    env = {**os.environ, "PYTHONPATH": str(ROOT), **(env or {})}
     try:
-        return subprocess.run(
-            line, cwd=where, capture_output=True, text=True, timeout=LIMIT_S, env={**os.environ, **(env or {})}
-        )
+        return subprocess.run(line, cwd=where, capture_output=True, text=True, timeout=LIMIT_S, env=env)
     except subprocess.TimeoutExpired:
         return subprocess.CompletedProcess(line, 124, "", f"no answer within {LIMIT_S:.0f} s")
 

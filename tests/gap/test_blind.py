@@ -227,3 +227,13 @@ def test_one_robot_from_the_draw_to_the_scoreboard(tmp_path, monkeypatch):
     assert row["top_right"] and set(row["forms"].values()) == {0}, data["effects"][:3]
     again = study.study([case], tmp_path, 1, timing=False)  # what is done is kept
     assert again["cases"] == found["cases"]
+
+
+def test_the_code_that_answers_is_that_beside_the_study(tmp_path, monkeypatch):
+    """Whichever is installed: an answer is of the commit that it is said to be of."""
+    (tmp_path / "ljjax").mkdir()
+    (tmp_path / "ljjax" / "__main__.py").write_text("print('of this tree')\n", encoding="utf-8")
+    (tmp_path / "ljjax" / "__init__.py").touch()
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.setattr(study, "ROOT", tmp_path)
+    assert study.command([], tmp_path / "elsewhere").stdout == "of this tree\n"
