@@ -289,10 +289,10 @@ class LayerWear(Effect):
 
     id, block, axes = "layer_wear", "jamming", ("run", "time", "direction")
     loss: jax.Array = parameter("1", 0.0, -0.5, 0.95, 0.15)
-    scale_rad: jax.Array = shape("rad", 10.0, 0.1, 1e3, (1.5, 6.0, 25.0))
+    scale_rad: jax.Array = shape("rad", 10.0, 0.4, 1e3, (1.5, 6.0, 25.0))
     order: jax.Array = shape("1", 1.0, 0.4, 8.0, (3.0, 1.0))
     evenly: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
-    to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
+    to_base: jax.Array = shape("1", 0.0, -0.8, 0.8, (0.0,))
 
     def start(self, now):
         return (now.worn,)
