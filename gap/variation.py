@@ -54,8 +54,10 @@ def freely(kind: type[Effect], values: Mapping[str, float], shares: np.ndarray) 
 
 
 def anchored(kind: type[Effect], values: Mapping[str, float], shares: np.ndarray) -> dict[str, float]:
-    """The same, but its sizes those of the run in which it is largest, with no share of its own there."""
+    """The same, but its sizes those of the run in which it is largest, if it is in any, with no share of its own."""
     most = int(np.argmax(np.abs(shares)))
+    if shares[most] == 0:
+        return freely(kind, values, shares)
     out = freely(kind, values, shares / shares[most])
     del out[path(kind, EACH.format(most + 1))]
     for n in kind.sizes():
