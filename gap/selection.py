@@ -175,6 +175,9 @@ class Selection:
     def _least(self, refits: Sequence[Refit]) -> float:
         return min((self.own_left(r) for r in refits), default=1.0)
 
+    def _least_left(self, refits: Sequence[Refit]) -> float:
+        return min(map(self.left, refits), default=1.0)
+
     def _anew(self, refits: Sequence[Refit]) -> list[Refit]:
         """The same once more, begun at the given model with the effects as they were found: the base's refit, which
         had to do without them, may have gone where they cannot bring it back from."""
@@ -274,16 +277,17 @@ class Selection:
             if share < max(JOINED, 15 * unit):
                 break
             more = self._further(found.best, unit) if share < NOTABLE else []
-            if len(found.best.ids) == 1 and share < NOTABLE:
-                more += self._promised()
             leaders = sorted(left.values(), key=self.left)
-            if len(found.best.ids) == 1 and share > PAIRS:
+            told = judge.as_little(0.0, unit)  # which cannot be told from nothing, so that no other pair does better
+            alone = len(found.best.ids) == 1
+            if alone and share < NOTABLE and self._least_left(more) > told:
+                more += self._promised()
+            if alone and share > PAIRS and self._least_left(more) > told:
                 more += self._pairs(leaders, hopeless=share > OFF)
-            if len(found.best.ids) == 1 and share < NOTABLE and min(map(self.left, more), default=1.0) > WELL:
+            if alone and share < NOTABLE and self._least_left(more) > WELL:
                 plain = [variation.plain.get(r.ids[0], r) for r in leaders]
                 more += [r for r in self._beside(plain) if self.left(r) < FURTHER]
-            told = judge.as_little(0.0, unit)  # which cannot be told from nothing
-            if len(found.best.ids) == 1 and share < NOTABLE and min(map(self.left, more), default=1.0) > told:
+            if alone and share < NOTABLE and self._least_left(more) > told:
                 more += [r for r in self._mounted(variation, leaders, more) if self.left(r) < FURTHER]
             for r in more:
                 key = tuple(sorted(r.ids))
