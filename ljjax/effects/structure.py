@@ -77,10 +77,12 @@ class ViscousDamping(Effect):
     """Damping beside the layers': D (1 + g x) q̇ (|q̇|/v₀)^(a − 1) (1 − b + b q²/q₀²), v₀ = 0.3 rad/s, x from 1 at the
     base to −1 at the tip; a = 1 is linear; a share b of what is squeezed where it is bent, q₀ = 0.1 rad. Times 1 − s
     + s α₂/α₂(0): s = 0 where the vacuum is of no account, 1 where it damps as it is stiff (Rayleigh). Grease that thins
-    while it is sheared and sets at rest (thixotropy) damps 1 − t w of that: ẇ = (1 − w) |q̇|/q_t − w/τ (Moore)."""
+    while it is sheared and sets at rest (thixotropy) damps 1 − t w of that: ẇ = (1 − w) |q̇|/q_t − w/τ (Moore). Drives
+    that the body turns, through tendons past all joints, damp its whole bend: D_Σ q̇_Σ at each joint."""
 
     id, block, axes = "viscous_damping", "structure", ("rate", "direction")
     damping: jax.Array = parameter("N·m·s/rad", 0.0, 0.0, 20.0, 0.05)
+    of_drives: jax.Array = parameter("N·m·s/rad", 0.0, 0.0, 20.0, 0.01)
     power: jax.Array = shape("1", 1.0, 0.2, 3.0, (0.6, 1.0, 1.8))
     bent: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
@@ -99,6 +101,14 @@ class ViscousDamping(Effect):
             end = sheared / (sheared + sets)
             out.append(end + (worked - end) * jnp.exp(-sheared - sets))
         return tuple(out)
+
+    def load(self, memory, load, now):
+        damped = self.of_drives * sum(now.v)
+        return tuple(x - damped for x in load)
+
+    def inertia(self, memory, m, now):
+        """What the drives' damping becomes by the step's end, as inertia h D_Σ: it is solved for with the rates."""
+        return tuple(tuple(e + now.h * self.of_drives for e in row) for row in m)
 
     def torque(self, memory, i, q, v, stage):
         here = self.damping * towards_base(self.to_base, len(stage.alpha2))[i] * (1 - self.thins * memory[i])
@@ -224,7 +234,8 @@ class BaseTilt(Effect):
 
     def remember(self, memory, now, after):
         side, tau = jnp.tanh(sum(now.middle) / self.hangs_rad), self.rocks_s / jnp.sqrt(1 + self.rings**2)
-        return ringing(side, *memory, tau, self.rings, now.h)[1:]
+        place, rate = memory
+        return ringing(side, place, rate, tau, self.rings, now.h)[1:]
 
     def load(self, memory, load, now):
         total = sum(now.middle)

@@ -843,6 +843,17 @@ def test_layers_may_soften_all_at_once_at_some_warmth():
     assert share(-0.1) == pytest.approx(1 - 0.3 * -np.expm1(0.3), rel=1e-5)
 
 
+def test_drives_damp_the_whole_bend_at_any_step(robot):
+    """So heavily that a step of 10 ms must solve for it; in a body of one joint as any damper does."""
+    kind: Any = REGISTRY["viscous_damping"]
+    model = dataclasses.replace(robot(3), effects=(kind(of_drives=0.5),))
+    coarse, fine = (np.asarray(simulate(model, drive(), at=jnp.asarray(AT), step_s=h).state.q) for h in (0.01, 0.001))
+    assert np.abs(coarse - fine).max() < 0.05 * np.ptp(fine)
+    one, plain = (dataclasses.replace(robot(1), effects=(kind(**{n: 0.05}),)) for n in ("of_drives", "damping"))
+    a, b = (np.asarray(simulate(m, drive(), at=jnp.asarray(AT), step_s=0.001).state.q) for m in (one, plain))
+    assert np.abs(a - b).max() < 0.01 * np.ptp(b)
+
+
 def test_damping_may_be_of_grease_that_is_squeezed_more_towards_the_tip_or_go_with_the_stiffness():
     kind: Any = REGISTRY["viscous_damping"]
     stage: Any = SimpleNamespace(alpha2=(3.0, 3.0, 3.0), bare=2.0)
