@@ -25,7 +25,7 @@ from ljjax.chain import lateral_jacobian
 from ljjax.effect import Effect, Vector
 from ljjax.fit.kernel import on_all_cores
 from ljjax.fit.points import Points
-from ljjax.model import Model, get, leaf, replace
+from ljjax.model import Friction, Model, get, leaf, replace
 
 LONG_S = 1e9
 """A step so long that every lag has settled."""
@@ -45,6 +45,7 @@ class Rest(NamedTuple):
     alpha2: Vector
     bare: Array
     phi: Vector
+    friction: Friction
 
 
 class Balance(NamedTuple):
@@ -64,7 +65,7 @@ def balance(model: Model, q: Vector, net: Array, vacuum: Array) -> Balance:
     now = now._replace(alpha2=alpha2, phi=phi)
     load = step._load(model, now, memory, drive)
     gravity = model.gravity.alpha1 * jnp.sin(sum(q))
-    rest = Rest(zero, alpha2, model.elastic.c3, phi)
+    rest = Rest(zero, alpha2, model.elastic.c3, phi, model.friction)
     out = []
     for i, angle in enumerate(q):
         torque = load[i] - gravity - alpha2[i] * angle

@@ -159,7 +159,7 @@ class Effect(eqx.Module):
         """Torque that resists joint i [N·m], solved for with the joint's rate: a function of that joint alone.
 
         `stage.time` is the time since the step began [s]; `stage.alpha2[i]`, `stage.phi[i]` are this step's,
-        `stage.bare` is α₂ without a vacuum.
+        `stage.bare` is α₂ without a vacuum, `stage.friction` has σ₀, σ₁, σ₂ and the rest of LuGre's parameters.
         """
         return None
 
