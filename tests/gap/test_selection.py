@@ -16,7 +16,7 @@ from ljjax.gap.scatter import NO_SCATTER
 from ljjax.gap.screening import Column, Screen
 from ljjax.gap.search import Study
 from ljjax.gap.selection import Found, Selection
-from ljjax.gap.variation import Variation, anchored
+from ljjax.gap.variation import Variation
 
 
 def test_pairs_are_begun_on_few_runs_where_no_effect_comes_near():
@@ -288,9 +288,3 @@ def test_an_effect_tried_beside_another_before_is_begun_anew_where_that_one_is_k
     assert {(tilt,), (lag,)} == set(asked)
     assert found.best.ids == (best, tilt)
     assert found.joint[(delay, tilt)].total == pytest.approx(100 + 900 * min(anew, 0.2))
-
-
-def test_what_is_there_in_no_run_has_no_run_to_be_the_largest_in():
-    none = anchored(REGISTRY["sensor_bias"], {"effects.sensor_bias.offset_rad": 0.02}, np.zeros(2))
-    in_runs = {f"effects.sensor_bias.in_run{k}": -1.0 for k in (1, 2)}
-    assert none == {"effects.sensor_bias.offset_rad": 0.02, **in_runs}
