@@ -97,9 +97,8 @@ class SensorBias(Effect):
     drifts: jax.Array = shape("1", 0.0, -5.0, 1.0, (1.0, 0.0))
 
     def _offsets(self, n, t):
-        modes = (self.mode1, self.mode2, self.mode3, self.mode4, self.mode5)
         share = 1 + self.drifts * (t / DRIFTS_S - 1)
-        return [share * (self.offset_rad + x) for x in along(modes, n)]
+        return [share * (self.offset_rad + x) for x in along(self, n)]
 
     def sense(self, memory, y, now):
         return tuple(x + b for x, b in zip(y, self._offsets(len(y), now.t + now.h), strict=True)), memory

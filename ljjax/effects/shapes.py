@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from ljjax import energy
-from ljjax.effect import Now
+from ljjax.effect import Effect, Now
 
 Vector = tuple[Array, ...]
 RESTED_S = 30.0
@@ -146,8 +145,9 @@ def _legendre(i: int, n: int) -> tuple[float, ...]:
     )
 
 
-def along(modes: Sequence[Array], n: int) -> list[Array]:
-    """What each of n joints gets of modes along the body (P₁ … P₅)."""
+def along(effect: Effect, n: int) -> list[Array]:
+    """What each of n joints gets of an effect's `mode1` … `mode5` along the body (P₁ … P₅)."""
+    modes: list[Array] = [getattr(effect, f"mode{k}") for k in range(1, 6)]
     return [sum((m * p for m, p in zip(modes, _legendre(i, n), strict=True)), 0.0 * modes[0]) for i in range(n)]
 
 
@@ -159,5 +159,4 @@ def of_layers(share: Array, now: Now) -> list[Array]:
 
 def towards_base(share: Array, n: int) -> list[Array]:
     """1 + g x for each of n joints, x along the body from 1 at the base to −1 at the tip."""
-    none = 0.0 * share
-    return [1 - s for s in along((share, none, none, none, none), n)]
+    return [1 - share * _legendre(i, n)[0] for i in range(n)]

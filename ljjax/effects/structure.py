@@ -138,7 +138,7 @@ class StiffnessHardening(Effect):
     def load(self, memory, load, now):
         mean = sum(now.middle) / len(now.middle)
         bends = [q + self.as_one * (mean - q) for q in now.middle]
-        cubic = [self.cubic + x for x in along((self.mode1, self.mode2, self.mode3, self.mode4, self.mode5), len(load))]
+        cubic = [self.cubic + x for x in along(self, len(load))]
         more = [k * q * q * q * power(q, BEND_RAD, self.power - 3) for k, q in zip(cubic, bends, strict=True)]
         more = [x * s for x, s in zip(more, _sides(self.one_sided, now), strict=True)]
         more = [x * s for x, s in zip(more, of_layers(self.of_layers, now), strict=True)]
@@ -160,11 +160,10 @@ class RestCurvature(Effect):
     of_layers: jax.Array = shape("1", 1.0, 0.0, 1.0, (1.0,))
 
     def load(self, memory, load, now):
-        modes = (self.mode1, self.mode2, self.mode3, self.mode4, self.mode5)
         bare = energy.alpha2(now.model, 0.0 * now.vacuum)
         stiff = [bare + self.of_layers * (a - bare) for a in now.alpha2]
-        bent = along(modes, len(load))
-        return tuple(t + a * (self.angle_rad + x) for t, a, x in zip(load, stiff, bent, strict=True))
+        bent = [self.angle_rad + x for x in along(self, len(load))]
+        return tuple(t + a * x for t, a, x in zip(load, stiff, bent, strict=True))
 
 
 def _moments(now: Now, weights: Sequence[Array], part: Vector) -> list[Array]:
@@ -342,8 +341,7 @@ class GravityDistribution(Effect):
     lifted: jax.Array = shape("1", 0.0, -0.5, 5.0, (1.0, 0.0))
 
     def _weights(self, n):
-        modes = self.mode1, self.mode2, self.mode3, self.mode4, self.mode5
-        return [self.link_weight_n + x for x in along(modes, n)]
+        return [self.link_weight_n + x for x in along(self, n)]
 
     def load(self, memory, load, now):
         moments = _moments(now, self._weights(len(load)), tuple(x * (1 + self.lifted * x * x) for x in now.sin))
@@ -378,7 +376,7 @@ class NonuniformStiffness(Effect):
         return (memory[0] + gone(now.q, after.q),)
 
     def alpha2(self, memory, alpha2, now):
-        modes = along((self.mode1, self.mode2, self.mode3, self.mode4, self.mode5), len(alpha2))
+        modes = along(self, len(alpha2))
         come = 1 - self.of_session * jnp.exp(-memory[0] / self.comes_rad)
         modes = [come * d for d in modes]
         bare = energy.alpha2(now.model, 0.0 * now.vacuum)
