@@ -201,8 +201,8 @@ def _rivals(inquiry: Inquiry, chosen: Refit) -> dict[str, Refit]:
     """What an experiment should part, by name: the main effect and the most probable other that has been refitted; of
     several effects one, and what does best in its place."""
     found = inquiry.found
-    if len(chosen.ids) > 1 and found.exchanged:
-        out, new, other = min(found.exchanged, key=lambda x: inquiry.left(x[2]))
+    if len(chosen.ids) > 1 and (rival := inquiry.rival()):
+        out, new, other = rival
         return {out: chosen, new: other}
     known = sorted(found.single, key=lambda i: -inquiry.probability.get(i, 0.0))
     first = [i for i in chosen.ids if i in found.single][:1] or known[:1]

@@ -19,7 +19,7 @@ from ljjax.gap import channels, judge
 from ljjax.gap.candidates import Trial
 from ljjax.gap.channels import Measured
 from ljjax.gap.search import Refit, Study
-from ljjax.gap.selection import Selection
+from ljjax.gap.selection import Exchange, Selection
 from ljjax.gap.stand_ins import QUICK, STAND_INS, stand_in
 from ljjax.logs import Run
 from ljjax.modelfile import ModelFile
@@ -142,8 +142,7 @@ class Inquiry:
         self.gained = {i: self.base.total - r.total for i, r in self.found.single.items()}
         self.one = self.unit * self.selection.gap
         self.null = self.screen.null(setting.rng) * self.one
-        self.evidence = self._evidence()
-        self.probability = judge.probabilities(self.evidence)
+        self._judge()
         best = self._best()
         alike = self._alike(best.ids, {})
         self.verdict = judge.verdict(self.probability, {*best.ids, *(i for group in alike for i in group)})
@@ -152,6 +151,26 @@ class Inquiry:
             (best,) = study.polished([best])
         self.chosen = best if listed else self.base
         self.equivalent = self._alike(best.ids, self.probability) if listed else []
+
+    def _judge(self) -> None:
+        """The probabilities; of several effects found, with the other in place of one that is more probable there."""
+        self._weigh()
+        if (rival := self.rival()) and self._odds(rival) > 1:
+            self.found.best = rival[2]
+            self._weigh()
+
+    def _weigh(self) -> None:
+        self.evidence = self._evidence()
+        self.probability = judge.probabilities(self.evidence)
+
+    def rival(self) -> Exchange | None:
+        """Of several effects found, the other in place of one of them that is most probable there. It may be more so
+        than that one: they were found by what they leave where all is fitted, which need not carry over."""
+        return max(self.found.exchanged, key=self._odds, default=None)
+
+    def _odds(self, exchange: Exchange) -> float:
+        gone, new, _ = exchange
+        return self.probability[new] / max(self.probability[gone], 1e-300)
 
     def _best(self) -> Refit:
         """What was found; of effects that explain the runs alone, the most probable."""
@@ -166,7 +185,7 @@ class Inquiry:
             groups = [judge.equivalents({i: self.evidence.left[i] for i in found.single}, ids[0], unit, odds)]
         else:
             least = {i: self.left(found.best) for i in ids}
-            others = {i: {new: self.left(r) for out, new, r in found.exchanged if out == i} for i in ids}
+            others = {i: {new: self.left(r) for out, new, r in self.found.exchanged if out == i} for i in ids}
             groups = [judge.equivalents({i: least[i], **others[i]}, i, unit) for i in ids]
         return [group for group in groups if len(group) > 1]
 
@@ -254,7 +273,7 @@ class Inquiry:
     def _fold_floor(self) -> np.ndarray:
         return np.bincount(self.folds[1], self.setting.study.floor(self.setting.train))
 
-    @cached_property
+    @property
     def unit(self) -> float:
         """What a χ² of 1 is as a share of the excess, by what the best refit leaves."""
         return self.selection.unit_of(self.found.best)
@@ -262,8 +281,8 @@ class Inquiry:
     def _evidence(self) -> judge.Evidence:
         screen, found, measured = self.screen, self.found, self.measured
         left = {i: self.left(r) for i, r in found.single.items()}
-        several = [found.best, *(r for *_, r in found.exchanged)] if len(found.best.ids) > 1 else []
-        asked = [*found.single.values(), *several]
+        several = [found.best] if len(found.best.ids) > 1 else []
+        asked = [*found.single.values(), *several, *(r for *_, r in self.found.exchanged)]
         leave = [dict(zip(asked, self.leave_unseen(asked), strict=True))]
         leave.append(dict(zip(asked, self.leave_held_out(asked), strict=True)))
         unseen, held_out = ({i: by[r] for i, r in found.single.items()} for by in leave)
@@ -293,7 +312,7 @@ class Inquiry:
                     unseen.pop(i, None)
                     held_out.pop(i, None)
                     left[i] = left[i] / max(least_alone, 1e-9) * max(least_alone, 0.5)
-            for place, i, r in found.exchanged:
+            for place, i, r in self.found.exchanged:
                 if self.left(r) + behind[place] < left[i]:
                     stands_for(i, r, place)
                     used[i] = r.used[i]
@@ -304,14 +323,14 @@ class Inquiry:
         matters = judge.MATTERS * self.floor
         as_given = worse < count + 4 * np.sqrt(2 * count) or self.given.total < self.base.total + matters
         excess = self.excess / max(self.floor, 1e-9)
-        flexible = self._flexible()
         steady = {i: self.left(r) for i, r in self.selection.steady.items()} if len(found.best.ids) == 1 else {}
-        about = unseen, flexible, used, held_out, steady
+        about = unseen, self.flexible, used, held_out, steady
         return judge.Evidence(excess, left, size, self.unit, chance, bool(as_given), *about)
 
-    def _flexible(self) -> dict[str, float]:
-        """By place, what a stand-in there leaves of the shape's gap; where the effects found leave little, nothing,
-        unless one of them mimics what a stand-in is for."""
+    @cached_property
+    def flexible(self) -> dict[str, float]:
+        """By place, what a stand-in there leaves of the shape's gap; where the effects first found leave little,
+        nothing, unless one of them mimics what a stand-in is for."""
         study, best = self.setting.study, self.found.best
         left = self.own_left(best)
         if self.excess < judge.OPEN * self.floor or (left < SOME and not judge.MIMICS & {*best.ids}):

@@ -44,6 +44,8 @@ CLOSE, CLOSER, OFF = 3, 2.0, 0.6
 """How many single effects are taken to their end before they are judged, none that leaves so many times the least, nor
 where that is so large a share of the gap that no effect explains it."""
 
+Exchange = tuple[str, str, Refit]
+
 
 @dataclass
 class Found:
@@ -54,9 +56,9 @@ class Found:
     best: Refit
 
     @property
-    def exchanged(self) -> list[tuple[str, str, Refit]]:
+    def exchanged(self) -> list[Exchange]:
         """Of several effects found, one of them, another in its place, and the refit with that."""
-        ids, out = set(self.best.ids), []
+        ids, out = set(self.best.ids), list[Exchange]()
         for key, r in self.joint.items():
             new, gone = set(key) - ids, ids - set(key)
             if len(new) == len(gone) == 1:

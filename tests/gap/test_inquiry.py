@@ -18,9 +18,10 @@ from ljjax.gap.answer import _left_over
 from ljjax.gap.candidates import Trial
 from ljjax.gap.data import span
 from ljjax.gap.inquiry import Inquiry, began, fell_behind, unfixed
+from ljjax.gap.judge import Evidence
 from ljjax.gap.scatter import NO_SCATTER
 from ljjax.gap.search import Study
-from ljjax.gap.selection import Selection
+from ljjax.gap.selection import Found, Selection
 from ljjax.gap.stand_ins import QUICK, STAND_INS
 from ljjax.gap.variation import Variation
 from tests.fit.test_dynamic import guess, logged, robot
@@ -63,8 +64,25 @@ def test_a_ripple_is_held_against_a_body_in_waves_however_little_it_leaves(monke
     asked.setting, asked.base, asked.floor, asked.excess = SimpleNamespace(study=None), None, 1.0, 10.0
     asked.found = SimpleNamespace(best=SimpleNamespace(ids=(found,)))
     asked.selection = SimpleNamespace(own_left=lambda _: left)
-    asked._flexible()
+    assert asked.flexible == {}
     assert kinds == [QUICK, STAND_INS][:asked_of]
+
+
+@pytest.mark.parametrize("first", ["contact", "sensor_scale"])
+def test_of_two_effects_one_that_does_not_carry_over_gives_way_to_another(monkeypatch, first):
+    """Beside a tilt a scale leaves less than an obstacle where all is fitted, and all of it in other conditions."""
+    pairs: dict[str, Any] = {i: SimpleNamespace(ids=("base_tilt", i)) for i in ("contact", "sensor_scale")}
+    asked: Any = Inquiry.__new__(Inquiry)
+    asked.found = Found({}, {tuple(sorted(p.ids)): p for p in pairs.values()}, pairs[first])
+
+    def evidence() -> Evidence:
+        left = {"base_tilt": 0.01, "contact": 0.03, "sensor_scale": 0.01}
+        unseen = {"base_tilt": 0.01, "contact": 0.03, "sensor_scale": 1.0}
+        return Evidence(20.0, left, dict.fromkeys(left, 2), 1e-5, 1e-9, False, unseen)
+
+    monkeypatch.setattr(asked, "_evidence", evidence)
+    asked._judge()
+    assert asked.found.best is pairs["contact"]
 
 
 def shares(asked: Inquiry, trial: Trial) -> tuple[float, float, np.ndarray, np.ndarray]:
