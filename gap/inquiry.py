@@ -124,6 +124,7 @@ class Inquiry:
         floor, excess: of the base's loss, the noise's part and the rest.
         evidence, probability, verdict, chosen, equivalent: what comes of it; of effects chosen, the groups of those
             that cannot be told from them.
+        standing: of several effects found, the refit that speaks for each of them and for what stands in its place.
         gained, null, one: the loss that each refit takes away, the largest losses that chance takes away (D,), and the
             loss that a χ² of 1 stands for.
     """
@@ -166,7 +167,8 @@ class Inquiry:
     def rival(self) -> Exchange | None:
         """Of several effects found, the other in place of one of them that is most probable there. It may be more so
         than that one: they were found by what they leave where all is fitted, which need not carry over."""
-        return max(self.found.exchanged, key=self._odds, default=None)
+        known = [x for x in self.found.exchanged if self.standing.get(x[1]) is x[2]]
+        return max(known, key=self._odds, default=None)
 
     def _odds(self, exchange: Exchange) -> float:
         gone, new, _ = exchange
@@ -280,6 +282,7 @@ class Inquiry:
 
     def _evidence(self) -> judge.Evidence:
         screen, found, measured = self.screen, self.found, self.measured
+        self.standing: dict[str, Refit] = {}
         left = {i: self.left(r) for i, r in found.single.items()}
         several = [found.best] if len(found.best.ids) > 1 else []
         asked = [*found.single.values(), *several, *(r for *_, r in self.found.exchanged)]
@@ -302,6 +305,7 @@ class Inquiry:
 
             def stands_for(i: str, refit: Refit, place: str) -> None:
                 """What is said of effect i is what the refit says of all its effects, i in this place among them."""
+                self.standing[i] = refit
                 left[i] = self.left(refit) + behind[place]
                 unseen[i], held_out[i] = (by[refit] + behind[place] for by in leave)
 

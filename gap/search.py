@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from ljjax.effect import Effect
-from ljjax.effects.varying import HALFWAY, WAYS
+from ljjax.effects.varying import HALFWAY, WAYS, steady
 from ljjax.fit.coordinates import Coordinates
 from ljjax.fit.dynamic import HUBER, Search, estimate
 from ljjax.fit.problem import Estimate, Problem, Round
@@ -258,7 +258,11 @@ class Study:
     def varied(self, refits: Sequence[Refit], stage: str) -> list[Refit]:
         """Refits of effects that are let vary (`ljjax.effects.varying`) in this study, from where they were."""
         kinds = {k.id: k for k in self.kinds}
-        trials = [Trial(r.ids, {**still(kinds[r.ids[0]], r.free_effects), **r.free_effects}) for r in refits]
+
+        def ways(r: Refit) -> dict[str, float]:
+            return {p: x for i in r.ids if not steady(kinds[i]) for p, x in still(kinds[i], r.free_effects).items()}
+
+        trials = [Trial(r.ids, {**ways(r), **r.free_effects}) for r in refits]
         begun = [self._begun(r.model, t) for r, t in zip(refits, trials, strict=True)]
         return self._refit(begun, trials, {}, WHOLE, stage)
 

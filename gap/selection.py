@@ -40,6 +40,9 @@ are begun once more."""
 JOINED, PAIRS, LEADING, EVERY, PROMISED = 0.06, 0.25, 5, 3, 5
 """Shares of the gap, left by one effect, from which a further one is looked for, and from which all pairs of so many
 leaders are; beside how many of these every other effect; and how many of the pairs that promise most are tried."""
+GROUNDS = 2
+"""Beside how many leaders, as they were before they varied, what promises most is looked for where the best does not
+lead to a pair that explains the runs: it may be the best as it varies, or begins at once, in another's stead."""
 CLOSE, CLOSER, OFF = 3, 2.0, 0.6
 """How many single effects are taken to their end before they are judged, none that leaves so many times the least, nor
 where that is so large a share of the gap that no effect explains it."""
@@ -282,6 +285,9 @@ class Selection:
             leaders = sorted(left.values(), key=self.left)
             told = judge.as_little(0.0, unit)  # which cannot be told from nothing, so that no other pair does better
             alone = len(found.best.ids) == 1
+            for ground in self._grounds(leaders) if alone and share < NOTABLE else []:
+                if self._least_left(more) > told:
+                    more += self._further(ground, unit)
             if alone and share < NOTABLE and self._least_left(more) > told:
                 more += self._promised()
             if alone and share > PAIRS and self._least_left(more) > told:
@@ -291,6 +297,8 @@ class Selection:
                 more += [r for r in self._beside(plain) if self.left(r) < FURTHER]
             if alone and share < NOTABLE and self._least_left(more) > told:
                 more += [r for r in self._mounted(variation, leaders, more) if self.left(r) < FURTHER]
+            if self._least_left(more) > told:
+                more += variation.of_several(more)
             for r in more:
                 key = tuple(sorted(r.ids))
                 if key not in found.joint or r.total < found.joint[key].total:
@@ -303,6 +311,11 @@ class Selection:
         if len(found.best.ids) > 1:
             self._exchange(found)
         return found
+
+    def _grounds(self, leaders: Sequence[Refit]) -> list[Refit]:
+        """Those of which the best, as they were before they varied, leave least, but for the best itself."""
+        steady = sorted((self.steady.get(r.ids[0], r) for r in leaders), key=self.left)
+        return [r for r in steady if r.ids and r is not leaders[0] and self.left(r) < NOTABLE][:GROUNDS]
 
     def _further(self, best: Refit, unit: float) -> list[Refit]:
         """What promises most on top of the best so far, refitted with it; begun anew where none of it is worth having,

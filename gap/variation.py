@@ -25,6 +25,8 @@ FURTHER = 0.12
 VARYING, VARIED, NEARBY, HOPELESS, NOTABLY = 3, 0.02, 2.5, 0.9, 0.75
 """How many effects alone are let vary, where the best leaves more than this share of the gap: those that leave no more
 than so many times as much, nor nearly all of it; and the share of what each left that is less by enough."""
+TOGETHER = 2
+"""How many of several effects together are let vary."""
 TOLD = 0.005
 """The share that cannot be told from nothing on most robots: where the best leaves more, effects that may be others in
 each run are tried."""
@@ -123,6 +125,23 @@ class Variation:
                 lambda kind: [{way: much} for way, much in PILOTS if way in ways(kind)],
                 "others that vary",
             )
+
+    def of_several(self, refits: Sequence[Refit]) -> list[Refit]:
+        """Of several effects refitted together the best once more, each free to vary in strength with what acts on it;
+        those that then leave notably less, of conditions left out too, and stay so."""
+        best: dict[tuple[str, ...], Refit] = {}
+        for r in sorted(refits, key=self.left):
+            best.setdefault(tuple(sorted(r.ids)), r)
+        least = min(map(self.left, best.values()))
+        near = [r for r in best.values() if self.left(r) < min(NEARBY * least, HOPELESS)][:TOGETHER]
+        those = [k for k in self.study.kinds if any(k.id in r.ids for r in near)]
+        kinds = {k.id: varying(k) for k in those if varies(k)}
+        varied = self.only({k.id: kinds.get(k.id, k) for k in those}).varied(near, "several that vary")
+        before = {r.ids: r for r in near}
+        kept = [r for r in varied if self.left(r) < NOTABLY * self.left(before[r.ids])]
+        kept = [r for r in kept if self._left_out(r) < self._left_out(before[r.ids])]
+        self.keep({i: kinds[i] for r in kept for i in r.ids if i in kinds})
+        return kept
 
     def by_run(self) -> dict[str, type[Effect]]:
         """What is put on, moved or set, as it may be another in each run, but for what varies otherwise already."""

@@ -76,6 +76,7 @@ def test_of_two_effects_one_that_does_not_carry_over_gives_way_to_another(monkey
     asked.found = Found({}, {tuple(sorted(p.ids)): p for p in pairs.values()}, pairs[first])
 
     def evidence() -> Evidence:
+        asked.standing = {i: pairs[i] for i in pairs}
         left = {"base_tilt": 0.01, "contact": 0.03, "sensor_scale": 0.01}
         unseen = {"base_tilt": 0.01, "contact": 0.03, "sensor_scale": 1.0}
         return Evidence(20.0, left, dict.fromkeys(left, 2), 1e-5, 1e-9, False, unseen)
