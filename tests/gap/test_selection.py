@@ -141,7 +141,17 @@ def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_as_it
 
     plain = refitted(Trial(("contact",), {"effects.contact.stop": 7.0}), 1.2 * alone)
     first = refitted(Trial(("contact",), {"effects.contact.stop": 3.0, "effects.contact.by_bend": 2.0}), alone)
-    monkeypatch.setattr(Variation, "let", lambda self, single: self.plain.update(contact=plain))
+
+    def let(self: Variation, single: Any) -> None:
+        self.plain["contact"] = self.steady["contact"] = plain
+
+    monkeypatch.setattr(Variation, "let", let)
+    monkeypatch.setattr(Variation, "of_several", lambda self, refits: [])
+    grounds: list[Any] = []
+
+    def further(best, unit) -> list[Any]:
+        grounds.append(best)
+        return [refitted(Trial(("contact", "base_tilt")), 0.95 * alone)]
 
     def few(trials, found, stage, finish) -> list[Any]:
         begun.extend(trials)
@@ -151,7 +161,7 @@ def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_as_it
     selection.floor, selection.excess, selection.measured = 100.0, 900.0, Measured([])
     selection.left = lambda refit: (refit.total - 100) / 900
     selection.unit_of = lambda refit: 1e-4
-    selection._further = lambda best, unit: [refitted(Trial(("contact", "base_tilt")), 0.95 * alone)]
+    selection._further = further
     selection._pairs = lambda singles, hopeless: []
     selection._promised = lambda: []
     selection._prune = selection._exchange = lambda *_: None
@@ -164,6 +174,7 @@ def test_where_no_second_effect_is_worth_it_all_are_begun_beside_the_first_as_it
     found = selection._forward([first])
     assert {t.ids for t in begun} == {("contact", k.id) for k in kinds if k.id != "contact"}
     assert all(t.start["effects.contact.stop"] == 7.0 and t.size == 2 for t in begun)
+    assert grounds[:2] == [first, plain]
     assert found.best.ids == (("contact", "sensor_bias") if kept else ("contact",))
 
 

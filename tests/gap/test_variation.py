@@ -64,6 +64,34 @@ def test_leaders_that_leave_much_may_vary(alone, varied, vary):
     assert free == vary
 
 
+@pytest.mark.parametrize(
+    ("varied", "unseen", "vary"),
+    [(0.02, 0.03, {"friction_asymmetry", "pressure_lag"}), (0.02, 0.3, set()), (0.09, 0.03, set())],
+)
+def test_two_effects_vary_where_they_then_leave_less_of_what_is_left_out_too(varied, unseen, vary):
+    def refitted(ids: tuple[str, ...], left: float, unseen: float) -> Any:
+        return SimpleNamespace(ids=ids, total=left, unseen=unseen)
+
+    pair = "friction_asymmetry", "pressure_lag"
+    found = [refitted(pair, 0.1, 0.2), refitted(pair, 0.12, 0.1), refitted(("contact", "base_tilt"), 0.5, 0.5)]
+    asked: list[Any] = []
+
+    class Told(Study):
+        def varied(self, refits, stage):
+            asked.extend(refits)
+            assert {k.id for k in self.kinds if "by_load" in k.fields()} == {*pair}
+            return [refitted(r.ids, varied, unseen) for r in refits]
+
+    any_: Any = None
+    study = Told(any_, (), list(REGISTRY.values()), (any_, any_), 0.0, {"slip": 9.0})
+    variation: Any = Variation(study, any_, any_, lambda refit: refit.total, 1.0)
+    variation._left_out = lambda refit: refit.unseen
+    kept = variation.of_several(found)
+    assert asked == [found[0]], "the best of each pair, of those that come near the best"
+    assert [r.ids for r in kept] == [pair] * bool(vary)
+    assert {k.id for k in study.kinds if "by_load" in k.fields()} == vary
+
+
 def test_what_does_nothing_as_it_stands_may_vary_too():
     """Of the effects not let vary yet those that promise most in any way; what then leaves notably less stays."""
     kinds = [REGISTRY[i] for i in ("viscous_damping", "contact", "base_tilt", "sensor_bias")]
