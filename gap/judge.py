@@ -231,7 +231,12 @@ def pairs_worth(first: float, second: float, unit: float) -> bool:
     """Whether a further effect is worth having: it takes most of what is left, and a share of the gap that matters; a
     smaller share does where it takes nearly all of what is left, as what mends a form seldom does."""
     taken = first - second
-    return taken > max(0.6 * first, 0.05, 15 * unit) and (taken > 0.1 or second < NEARLY_NONE * first)
+    return taken > max(0.6 * first, least_worth(unit)) and (taken > 0.1 or second < NEARLY_NONE * first)
+
+
+def least_worth(unit: float) -> float:
+    """The share of the gap that a further effect takes at least; where less is left none is looked for."""
+    return max(0.05, 15 * unit)
 
 
 def closed(before: float, after: float, floor: float) -> float | None:

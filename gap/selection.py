@@ -37,9 +37,9 @@ ALIKE = 0.005
 ASTRAY, LOST = 0.98, 8
 """A candidate that leaves more than this share of the base's loss has found nothing, or not its way; how many of those
 are begun once more."""
-JOINED, PAIRS, LEADING, EVERY, PROMISED = 0.06, 0.25, 5, 3, 5
-"""Shares of the gap, left by one effect, from which a further one is looked for, and from which all pairs of so many
-leaders are; beside how many of these every other effect; and how many of the pairs that promise most are tried."""
+PAIRS, LEADING, EVERY, PROMISED = 0.25, 5, 3, 5
+"""The share of the gap, left by one effect, from which all pairs of so many leaders are tried; beside how many of these
+every other effect; and how many of the pairs that promise most are tried."""
 GROUNDS = 2
 """Beside how many leaders, as they were before they varied, what promises most is looked for where the best does not
 lead to a pair that explains the runs: it may be the best as it varies, or begins at once, in another's stead."""
@@ -279,7 +279,7 @@ class Selection:
         matters = self.excess > judge.MATTERS * self.floor  # else none is named, whatever several would explain
         while matters and len(found.best.ids) < MOST:
             share = self.left(found.best)
-            if share < max(JOINED, 15 * unit):
+            if share < judge.least_worth(unit):
                 break
             more = self._further(found.best, unit) if share < NOTABLE else []
             leaders = sorted(left.values(), key=self.left)
