@@ -37,12 +37,13 @@ ALIKE = 0.005
 ASTRAY, LOST = 0.98, 8
 """A candidate that leaves more than this share of the base's loss has found nothing, or not its way; how many of those
 are begun once more."""
-PAIRS, LEADING, EVERY, PROMISED = 0.25, 5, 3, 5
-"""The share of the gap, left by one effect, from which all pairs of so many leaders are tried; beside how many of these
-every other effect; and how many of the pairs that promise most are tried."""
-GROUNDS = 2
+PAIRS, LEADING, PROMISED = 0.25, 5, 5
+"""The share of the gap, left by one effect, from which all pairs of so many leaders are tried; and how many of the
+pairs that promise most are tried."""
+GROUNDS, MOUNTS = 2, 3
 """Beside how many leaders, as they were before they varied, what promises most is looked for where the best does not
-lead to a pair that explains the runs: it may be the best as it varies, or begins at once, in another's stead."""
+lead to a pair that explains the runs: it may be the best as it varies, or begins at once, in another's stead; and
+beside how many what may be another in each run."""
 CLOSE, CLOSER, OFF = 3, 2.0, 0.6
 """How many single effects are taken to their end before they are judged, none that leaves so many times the least, nor
 where that is so large a share of the gap that no effect explains it."""
@@ -65,7 +66,7 @@ class Found:
         for key, r in self.joint.items():
             new, gone = set(key) - ids, ids - set(key)
             if len(new) == len(gone) == 1:
-                out.append((*gone, *new, r))
+                out.append((gone.pop(), new.pop(), r))
         return out
 
 
@@ -292,9 +293,6 @@ class Selection:
                 more += self._promised()
             if alone and share > PAIRS and self._least_left(more) > told:
                 more += self._pairs(leaders, hopeless=share > OFF)
-            if alone and share < NOTABLE and self._least_left(more) > WELL:
-                plain = [variation.plain.get(r.ids[0], r) for r in leaders]
-                more += [r for r in self._beside(plain) if self.left(r) < FURTHER]
             if alone and share < NOTABLE and self._least_left(more) > told:
                 more += [r for r in self._mounted(variation, leaders, more) if self.left(r) < FURTHER]
             if self._least_left(more) > told:
@@ -358,22 +356,6 @@ class Selection:
         found = study.refit(self.base.model, there, screen, stage="promised pairs", finish=2)
         return found + study.refit(study.start, trials, self._from_given, stage="promised pairs", finish=2)
 
-    def _beside(self, singles: Sequence[Refit]) -> list[Refit]:
-        """Every other effect beside each of the first `EVERY` in turn, until that explains the runs, from the given
-        model, on few runs first: what the base's refit was bent to with one effect can hide the other from the screen,
-        and lead it astray; one that varies may do the other's part by that; and one of two may leave more by itself
-        than a stand-in for both."""
-        screen, out = self._from_given, list[Refit]()
-        if screen is None:
-            return out
-        for one in singles[:EVERY]:
-            others = [t for i in screen.ids if i not in one.ids for t in self._either_side(screen, screen.best(i))]
-            both = [Trial((*one.ids, *t.ids), {**one.free_effects, **t.start}) for t in others]
-            out += self._on_few(both, [one], "every second effect", finish=2)
-            if any(self.left(r) < VARIED for r in out):
-                break
-        return out
-
     def _mounted(self, variation: Variation, leaders: Sequence[Refit], pairs: Sequence[Refit]) -> list[Refit]:
         """What may be another effect in each run beside the two of the best pair so far, if that leaves little, and the
         first leaders, as they were before they varied; from the given model, on few runs first, in the others then
@@ -385,7 +367,7 @@ class Selection:
         best = min(pairs, key=self.left, default=None)
         first = [i for i in best.ids if i in alone] if best and self.left(best) < FURTHER else []
         kinds, out = variation.by_run(), list[Refit]()
-        grounds = [alone[i] for i in dict.fromkeys([*first, *alone])][:EVERY]
+        grounds = [alone[i] for i in dict.fromkeys([*first, *alone])][:MOUNTS]
         under = {k.id: k for k in self.study.kinds if any(k.id in g.ids for g in grounds)}
         study, known = variation.only({**under, **kinds}), [int(r) for r in self._telling]
         other = min(known, key=lambda r: self.base.loss[r])
