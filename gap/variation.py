@@ -129,6 +129,8 @@ class Variation:
     def of_several(self, refits: Sequence[Refit]) -> list[Refit]:
         """Of several effects refitted together the best once more, each free to vary in strength with what acts on it;
         those that then leave notably less, of conditions left out too, and stay so."""
+        if not refits:
+            return []
         best: dict[tuple[str, ...], Refit] = {}
         for r in sorted(refits, key=self.left):
             best.setdefault(tuple(sorted(r.ids)), r)

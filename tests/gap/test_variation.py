@@ -90,6 +90,7 @@ def test_two_effects_vary_where_they_then_leave_less_of_what_is_left_out_too(var
     assert asked == [found[0]], "the best of each pair, of those that come near the best"
     assert [r.ids for r in kept] == [pair] * bool(vary)
     assert {k.id for k in study.kinds if "by_load" in k.fields()} == vary
+    assert variation.of_several([]) == []
 
 
 def test_what_does_nothing_as_it_stands_may_vary_too():
