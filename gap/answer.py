@@ -199,7 +199,7 @@ def _in_joints(inquiry: Inquiry, refit: Refit) -> np.ndarray | None:
 
 def _rivals(inquiry: Inquiry, chosen: Refit) -> dict[str, Refit]:
     """What an experiment should part, by name: the main effect and the most probable other that has been refitted; of
-    several effects one, and what does best in its place."""
+    several effects one, and what is most probable in its place."""
     found = inquiry.found
     if len(chosen.ids) > 1 and (rival := inquiry.rival()):
         out, new, other = rival

@@ -187,7 +187,7 @@ class Inquiry:
             groups = [judge.equivalents({i: self.evidence.left[i] for i in found.single}, ids[0], unit, odds)]
         else:
             least = {i: self.left(found.best) for i in ids}
-            others = {i: {new: self.left(r) for out, new, r in self.found.exchanged if out == i} for i in ids}
+            others = {i: {new: self.left(r) for out, new, r in found.exchanged if out == i} for i in ids}
             groups = [judge.equivalents({i: least[i], **others[i]}, i, unit) for i in ids]
         return [group for group in groups if len(group) > 1]
 
@@ -285,7 +285,7 @@ class Inquiry:
         self.standing: dict[str, Refit] = {}
         left = {i: self.left(r) for i, r in found.single.items()}
         several = [found.best] if len(found.best.ids) > 1 else []
-        asked = [*found.single.values(), *several, *(r for *_, r in self.found.exchanged)]
+        asked = [*found.single.values(), *several, *(r for *_, r in found.exchanged)]
         leave = [dict(zip(asked, self.leave_unseen(asked), strict=True))]
         leave.append(dict(zip(asked, self.leave_held_out(asked), strict=True)))
         unseen, held_out = ({i: by[r] for i, r in found.single.items()} for by in leave)
@@ -316,7 +316,7 @@ class Inquiry:
                     unseen.pop(i, None)
                     held_out.pop(i, None)
                     left[i] = left[i] / max(least_alone, 1e-9) * max(least_alone, 0.5)
-            for place, i, r in self.found.exchanged:
+            for place, i, r in found.exchanged:
                 if self.left(r) + behind[place] < left[i]:
                     stands_for(i, r, place)
                     used[i] = r.used[i]

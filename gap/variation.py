@@ -140,8 +140,8 @@ class Variation:
         kinds = {k.id: varying(k) for k in those if varies(k)}
         varied = self.only({k.id: kinds.get(k.id, k) for k in those}).varied(near, "several that vary")
         before = {r.ids: r for r in near}
-        kept = [r for r in varied if self.left(r) < NOTABLY * self.left(before[r.ids])]
-        kept = [r for r in kept if self._left_out(r) < self._left_out(before[r.ids])]
+        less = [r for r in varied if self.left(r) < NOTABLY * self.left(before[r.ids])]
+        kept = [r for r in less if self._left_out(r) < self._left_out(before[r.ids])]
         self.keep({i: kinds[i] for r in kept for i in r.ids if i in kinds})
         return kept
 
