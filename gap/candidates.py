@@ -107,6 +107,12 @@ def pilots(kind: type[Effect], span: Mapping[str, float], waves: Sequence[float]
     return [form for i, form in enumerate(out) if form not in out[:i]]
 
 
+def in_words(kind: type[Effect]) -> str:
+    """The first clause of an effect's own description, to stand in brackets beside its name."""
+    text = re.split(r"[,:;.](?:\s|$)|\s\(", " ".join((kind.__doc__ or "").split()))[0]
+    return text[:1].lower() + text[1:]
+
+
 def path(kind: type[Effect], name: str) -> str:
     """The path of an effect's parameter."""
     return f"effects.{kind.id}.{name}"

@@ -10,6 +10,7 @@ import numpy as np
 
 from ljjax import page
 from ljjax.gap import static_figures as figures
+from ljjax.gap.candidates import in_words
 from ljjax.gap.result import LAST, Diagnosis
 from ljjax.gap.static_figures import plain
 from ljjax.gap.static_next import absorbed
@@ -48,7 +49,7 @@ def headline(story: Any, result: Diagnosis) -> str:
         said = []
         for c in story.channels:
             if c.added:
-                what = " and ".join(f"{plain(e)} ({_about(story, e)})" for e in c.added)
+                what = " and ".join(f"{plain(e)} ({in_words(story.laws.kinds[e])})" for e in c.added)
                 inner = " between the outermost" if c.inner.sum() < len(c.points) and c.kind == "steady" else ""
                 keep = c.inner if inner else None
                 said.append(
@@ -64,12 +65,6 @@ def headline(story: Any, result: Diagnosis) -> str:
     if result.verdict == "no_gap":
         return "No gap: the given model already explains these points to their scatter."
     return "No effect is needed: refitting the base model's own parameters closes the gap."
-
-
-def _about(story: Any, effect: str) -> str:
-    """The first words of an effect's own description."""
-    text = (story.laws.kinds[effect].__doc__ or "").strip().split("\n")[0]
-    return text.split(":")[0].split(";")[0].rstrip(".")
 
 
 def _cards(story: Any, result: Diagnosis) -> list[tuple[str, str]]:

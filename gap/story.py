@@ -12,6 +12,7 @@ import numpy as np
 from ljjax.effect import Effect
 from ljjax.fit.problem import Estimate
 from ljjax.gap import where
+from ljjax.gap.candidates import in_words
 from ljjax.gap.inquiry import Inquiry
 from ljjax.gap.result import Diagnosis
 from ljjax.gap.search import Refit
@@ -166,7 +167,7 @@ def headline(story: Story, result: Diagnosis) -> str:
     runs = f"{len(gap.held_out_runs)} run{'s' if len(gap.held_out_runs) > 1 else ''} that no fit has seen"
     before, floor, given = (degrees(x) for x in (gap.before, gap.noise_floor, gap.given))
     if result.verdict == "listed_effect":
-        what = " and ".join(f"{plain(i)} ({about(story, i)})" for i in result.selected)
+        what = " and ".join(f"{plain(i)} ({in_words(story.kinds[i])})" for i in result.selected)
         falls = f"{_falls(gap.before, gap.after)} (noise {floor})"
         return (
             f"The model lacks {what}. With {'it' if len(result.selected) == 1 else 'them'} the error on {runs} {falls}."
@@ -209,13 +210,6 @@ def cards(result: Diagnosis) -> list[tuple[str, str]]:
         sure = f" (95 %: {100 * ci[0]:z.0f} to {100 * ci[1]:z.0f} %)" if ci else ""
         out.append((f"{100 * gap.closed_fraction:z.0f} %", f"of the gap closed on unseen runs{sure}"))
     return out
-
-
-def about(story: Story, effect: str) -> str:
-    """The first words of an effect's own description."""
-    text = (story.kinds[effect].__doc__ or "").strip().split("\n")[0] if effect in story.kinds else ""
-    text = text.split(":")[0].split(";")[0].rstrip(".")
-    return text[:1].lower() + text[1:]
 
 
 def percent(p: float) -> str:

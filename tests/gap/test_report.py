@@ -15,6 +15,7 @@ from ljjax import effects, page
 from ljjax.data import OCTROBOT
 from ljjax.gap import report, where
 from ljjax.gap.answer import worse
+from ljjax.gap.candidates import in_words
 from ljjax.gap.layout import layout
 from ljjax.gap.result import LAST, Diagnosis, Finding, Gap, Region
 from ljjax.gap.story import Story, cards, headline
@@ -280,3 +281,11 @@ def test_segments_are_told_by_the_joints_where_their_mean_alone_is_measured(monk
     part = where.Contribution("structure", ("segment", "angle"), 0.1 * angle[:, None], joints)
     first = where.places(None, "theta", [part])[0]  # type: ignore[arg-type]
     assert (first.axis, first.range) == ("segment", (3.0, 4.0))
+
+
+@pytest.mark.parametrize("effect", effects.REGISTRY)
+def test_an_effect_is_described_by_a_whole_clause(effect):
+    kind = effects.REGISTRY[effect]
+    said, whole = in_words(kind), " ".join((kind.__doc__ or "").split())
+    assert len(said.split()) > 1 and not said[0].isupper()
+    assert whole.lower().startswith(said.lower()) and whole[len(said) :].startswith((". ", ".", ",", ";", ":", " ("))
