@@ -155,16 +155,25 @@ def _packed(packed, vacuum, most):
     return jnp.clip(packed, vacuum, most * vacuum)
 
 
+def _in_steps(law, vacuum):
+    """From 0 to 1 with the vacuum, a share of it in a second step."""
+    first, second = (saturated(vacuum, k * law.knee_kpa, law.order, law.edge) for k in (1.0, law.further))
+    return first + law.second * (second - first)
+
+
 class StiffnessSaturation(Effect):
     """α₂ saturates with the vacuum: α₂ + a y/(1 + yᵐ)^(1/m), y = (P/p₀)ⁿ, on top of the polynomial, whose own slope is
-    fitted too; n > 1 where the layers must first be drawn together, m > 1 where it bends the sharper. Layers that once
-    packed stay so until the vacuum is nearly gone feel the most there was, but no more than b P."""
+    fitted too; n > 1 where the layers must first be drawn together, m > 1 where it bends the sharper; and of it a
+    share s in a second step, at f p₀. Layers that once packed stay so until the vacuum is nearly gone feel the most
+    there was, but no more than b P."""
 
     id, block, axes = "stiffness_saturation", "jamming", ("pressure", "angle")
     rise: jax.Array = parameter("N·m/rad", 0.0, -20.0, 20.0, 0.5)
     knee_kpa: jax.Array = shape("kPa", 5.0, 0.3, 60.0, (2.0, 6.0, 18.0))
     order: jax.Array = shape("1", 1.0, 0.5, 8.0, (3.0, 1.0))
     edge: jax.Array = shape("1", 1.0, 0.5, 8.0, (3.0, 1.0))
+    second: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.5, 0.0))
+    further: jax.Array = shape("1", 3.0, 1.2, 20.0, (3.0,))
     packs: jax.Array = shape("1", 1.0, 1.0, 10.0, (2.0, 1.0))
 
     def start(self, now):
@@ -172,7 +181,7 @@ class StiffnessSaturation(Effect):
 
     def alpha2(self, memory, alpha2, now):
         packed = _packed(memory[0], now.vacuum, self.packs)
-        more = self.rise * saturated(packed, self.knee_kpa, self.order, self.edge)
+        more = self.rise * _in_steps(self, packed)
         return tuple(a + more for a in alpha2)
 
     def remember(self, memory, now, after):
@@ -181,14 +190,17 @@ class StiffnessSaturation(Effect):
 
 class FrictionSaturation(Effect):
     """φ saturates with the vacuum: φ + a y/(1 + yᵐ)^(1/m), y = (P/p₀)ⁿ, on top of the square root, whose own slope is
-    fitted too; n > 1 where the layers must first be drawn together, m > 1 where it bends the sharper. Layers that once
-    packed stay so until the vacuum is nearly gone feel the most there was, but no more than b P."""
+    fitted too; n > 1 where the layers must first be drawn together, m > 1 where it bends the sharper; and of it a
+    share s in a second step, at f p₀. Layers that once packed stay so until the vacuum is nearly gone feel the most
+    there was, but no more than b P."""
 
     id, block, axes = "friction_saturation", "jamming", ("pressure", "direction")
     rise: jax.Array = parameter("N·m", 0.0, -100.0, 200.0, 3.0)
     knee_kpa: jax.Array = shape("kPa", 8.0, 0.3, 60.0, (2.0, 6.0, 18.0))
     order: jax.Array = shape("1", 1.0, 0.5, 8.0, (3.0, 1.0))
     edge: jax.Array = shape("1", 1.0, 0.5, 8.0, (3.0, 1.0))
+    second: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.5, 0.0))
+    further: jax.Array = shape("1", 3.0, 1.2, 20.0, (3.0,))
     packs: jax.Array = shape("1", 1.0, 1.0, 10.0, (2.0, 1.0))
 
     def start(self, now):
@@ -196,7 +208,7 @@ class FrictionSaturation(Effect):
 
     def phi(self, memory, phi, now):
         packed = _packed(memory[0], now.vacuum, self.packs)
-        more = self.rise * saturated(packed, self.knee_kpa, self.order, self.edge)
+        more = self.rise * _in_steps(self, packed)
         return tuple(p + more for p in phi)
 
     def remember(self, memory, now, after):

@@ -118,12 +118,12 @@ class ViscousDamping(Effect):
 
 
 class StiffnessHardening(Effect):
-    """Elasticity nonlinear in the angle: k₃ q³ (|q|/q₁)^(a − 3), q₁ = 0.1 rad, k₃ by modes along the body where each
-    joint is logged; a = 3 is the cubic spring. Times 1 − s + s α₂/α₂(0): s = 0 where the backbone hardens, 1 where all
-    that is elastic does; and 1 + r q/√(q² + w²), w = 0.02 rad, to one side more than to the other. Where one hose
-    through the whole body hardens, q is the mean joint's, for a share h of it."""
+    """Elasticity nonlinear in the angle: k₃ q³ (|q|/q₁)^(a − 3), q₁ = 0.1 rad, k₃ by modes along the body; a = 3 is the
+    cubic spring. Times 1 − s + s α₂/α₂(0): s = 0 where the backbone hardens, 1 where all that is elastic does; and 1 +
+    r q/√(q² + w²), w = 0.02 rad, to one side more than to the other. Where one hose through the whole body hardens, q
+    is the mean joint's, for a share h of it."""
 
-    id, block, axes = "stiffness_hardening", "structure", ("angle",)
+    id, block, axes, modes_of_theta = "stiffness_hardening", "structure", ("angle",), 5
     cubic: jax.Array = parameter("N·m/rad³", 0.0, -500.0, 5000.0, 5.0)
     mode1: jax.Array = parameter("N·m/rad³", 0.0, -2000.0, 2000.0, 3.0)
     mode2: jax.Array = parameter("N·m/rad³", 0.0, -2000.0, 2000.0, 3.0)

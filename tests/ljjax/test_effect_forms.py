@@ -665,6 +665,19 @@ def test_saturation_may_want_a_vacuum_first(effect, hook):
     assert sharp == pytest.approx([0.0, 1 / np.cbrt(1 + 1 / 8), 2 / np.cbrt(2), 2.0], abs=1e-4)
 
 
+@pytest.mark.parametrize(("effect", "hook"), [("stiffness_saturation", "alpha2"), ("friction_saturation", "phi")])
+def test_saturation_may_come_in_two_steps(effect, hook):
+    """Of 2 about 2 kPa and of 3 about 20: neither well below the first, one between them, both beyond."""
+    kind: Any = REGISTRY[effect]
+    law = kind(rise=5.0, second=0.6, knee_kpa=2.0, further=10.0, order=8.0)
+
+    def more(vacuum: float) -> float:
+        now: Any = SimpleNamespace(vacuum=jnp.asarray(vacuum))
+        return float(getattr(law, hook)(law.start(now), (jnp.asarray(1.0),), now)[0]) - 1
+
+    assert [more(p) for p in (0.0, 1.0, 6.0, 20.0, 60.0)] == pytest.approx([0.0, 0.0, 2.0, 3.5, 5.0], abs=0.01)
+
+
 def test_a_motors_limit_folds_back_while_it_carries():
     """A sharp limit of 40 N that falls by what is carried: half of it is left in the end, all of it after a rest."""
     kind: Any = REGISTRY["actuator_saturation"]
