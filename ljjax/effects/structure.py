@@ -401,7 +401,7 @@ class Contact(Effect):
     sudden = True
     stop: jax.Array = parameter("N·m/rad", 0.0, 0.0, 500.0, 3.0)
     obstacle: jax.Array = parameter("N/m", 0.0, 0.0, 3000.0, 10.0)
-    angle_rad: jax.Array = shape("rad", 0.1, -2.0, 2.0, (0.35, -0.35, 0.7, -0.7), "angle")
+    angle_rad: jax.Array = shape("rad", 0.1, -2.0, 2.0, (0.35, -0.35, 0.9, 0.7, -0.7, -0.9), "angle")
     rough: jax.Array = shape("1", 0.4, 0.0, 2.0, (0.4,))
     share: jax.Array = shape("1", 1.0, 0.1, 1.0, (0.5, 1.0))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
