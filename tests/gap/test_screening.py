@@ -122,3 +122,10 @@ def test_only_modes_that_the_log_can_show_are_on_trial():
     # joints of unequal stiffness bend unequally under gravity, and the mean angle shows some of it
     assert sizes(REGISTRY["nonuniform_stiffness"], 6, 1) == [f"mode{i}" for i in range(1, 6)]
     assert sizes(REGISTRY["nonuniform_stiffness"], 2, 1) == ["mode1"]
+    assert sizes(REGISTRY["stiffness_hardening"], 6, 1) == ["cubic", *(f"mode{i}" for i in range(1, 6))]
+
+
+def test_a_stop_that_is_barely_touched_is_looked_for():
+    """On either side, where joints hardly get: a stop touched only there shows from no other start."""
+    angles = [form["angle_rad"] for form in pilots(REGISTRY["contact"], {"": 1.0, "angle": 0.25})]
+    assert any(0.2 < x < 0.25 for x in angles) and any(-0.25 < x < -0.2 for x in angles)
