@@ -9,7 +9,7 @@ from ljjax.effect import Effect, parameter, shape
 from ljjax.effects.shapes import lagged, positive, power, towards_base, turned
 
 LOAD_N, RUBS_NM = 10.0, 10.0
-"""Load at which a friction is the same by any power of it, and φ at which it is whether it goes with φ or not."""
+"""Load at which a friction is the same by any power of it, and which warms by k; φ at which it is whether it goes with φ or not."""
 HARDLY_NM = 0.1
 """A friction that hardly is one: φ₁ of `LoadDependentFriction`."""
 BEND_RAD, EVEN_RAD = 0.1, 1e-4
@@ -108,7 +108,8 @@ class ThermalDrift(Effect):
     is logged ΔT is that of a robot that warms while it runs and cools in between, towards 10 K and back within 600 s,
     10 K (1 − exp(−t/600 s)) in a first run, and c says how much faster it is, or slower. What lies inside may follow
     with a time constant τ, from i ΔT at a run's start. Joints near what warms them may feel more of it: b (1 + g x) for
-    friction, x from 1 at the base to −1 at the tip. Of what is viscous in friction, σ₂, as grease thins, by W too."""
+    friction, x from 1 at the base to −1 at the tip. Of what is viscous in friction, σ₂, as grease thins, by W too. Work
+    warms it from a run's start on, more than a temperature that is logged shows: by k c, τ_w ċ = Σ (T/10 N)² − c."""
 
     id, block, axes = "thermal_drift", "friction", ("run", "time", "direction")
     friction_per_k: jax.Array = parameter("1/K", 0.0, -2.0, 2.0, 0.01)
@@ -120,16 +121,21 @@ class ThermalDrift(Effect):
     inside_s: jax.Array = shape("s", 0.0, 0.0, 1e3, (60.0, 0.0))
     kept: jax.Array = shape("1", 1.0, 0.0, 5.0, (1.0,))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
+    worked_k: jax.Array = shape("K", 0.0, 0.0, 1e3, (10.0, 0.0))
+    worked_s: jax.Array = shape("s", 30.0, 0.5, 1e3, (30.0,))
 
     def start(self, now):
-        return (self.kept * now.warm,)
+        return self.kept * now.warm, 0.0 * now.warm
 
     def _inside(self, memory, now):
-        """What is warm inside, on average over a step and at its end [K]."""
-        return lagged(now.warm, memory[0], self.inside_s, now.h)
+        """What is warm inside, on average over a step [K], and the memory at its end."""
+        mean, warm = lagged(now.warm, memory[0], self.inside_s, now.h)
+        work = sum((u / LOAD_N) ** 2 for u in now.u)
+        worked, carried = lagged(work, memory[1], self.worked_s, now.h)
+        return mean + self.worked_k * worked, (warm, carried)
 
     def remember(self, memory, now, after):
-        return (self._inside(memory, now)[1],)
+        return self._inside(memory, now)[1]
 
     def _past(self, warm):
         return positive(warm - self.from_k) - positive(-warm)
@@ -151,4 +157,5 @@ class ThermalDrift(Effect):
         )
 
     def torque(self, memory, i, q, v, stage):
-        return stage.phi[i] * stage.friction.sigma2 * v * self.viscous_per_k * self._warmed(memory[0])
+        warm = self._warmed(memory[0] + self.worked_k * memory[1])
+        return stage.phi[i] * stage.friction.sigma2 * v * self.viscous_per_k * warm

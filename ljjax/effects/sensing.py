@@ -111,13 +111,15 @@ class SensorFilter(Effect):
     """Detections are averaged: τẏ = x − y and after it a filter of second order, of the time constants r τ (1 ± i o),
     exact for angles that move steadily in a step. r = 0 is a first-order filter; r = 1 without o a moving average over
     6τ, but for terms of third order; with o > 0 it overshoots, as Butterworth's filters do. Angles smoothed afterwards
-    need not lag: of what the filter is late, τ + 2 r τ, a share u is taken back."""
+    need not lag: of what the filter is late, τ + 2 r τ, a share u is taken back. Filters that smooth less what moves fast
+    have τ/(1 + a |ẋ|)."""
 
     id, block, axes = "sensor_filter", "sensing", ("rate", "time")
     tau_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.03)
     later: jax.Array = shape("1", 0.5, 0.0, 4.0, (0.0, 1.0))
     overshoot: jax.Array = shape("1", 0.0, 0.0, 3.0, (1.0, 0.0))
     undone: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
+    adapts: jax.Array = shape("s/rad", 0.0, 0.0, 1e3, (10.0, 0.0))
 
     def latency_s(self):
         return -self.undone * (1 + 2 * self.later) * self.tau_s
@@ -126,10 +128,12 @@ class SensorFilter(Effect):
         return *(tuple(now.q),) * 3, tuple(0.0 * q for q in now.q)
 
     def sense(self, memory, y, now):
-        later, out = self.later * self.tau_s, []
+        out = []
         for x, before, first, second, rate in zip(y, *memory, strict=True):
             speed = (x - before) / now.h
-            once = lagged(x - self.tau_s * speed, first + (x - before), self.tau_s, now.h)[1]
+            tau = self.tau_s / (1 + self.adapts * jnp.abs(speed))
+            later = self.later * tau
+            once = lagged(x - tau * speed, first + (x - before), tau, now.h)[1]
             speed = (once - first) / now.h  # what follows it steadily is late by 2 r τ, the rest decays
             held = second + (once - first)
             _, twice, rest = ringing(once - 2 * later * speed, held, rate - speed, later, self.overshoot, now.h)

@@ -772,7 +772,7 @@ def test_markers_may_be_read_one_after_the_other():
 
 def test_warmth_may_be_near_the_base():
     kind: Any = REGISTRY["thermal_drift"]
-    now: Any = SimpleNamespace(warm=jnp.asarray(2.0), h=jnp.asarray(0.01))
+    now: Any = SimpleNamespace(warm=jnp.asarray(2.0), h=jnp.asarray(0.01), u=(jnp.zeros(()),) * 2)
     drift = kind(friction_per_k=-0.1, to_base=0.5)
     got = drift.phi(drift.start(now), (jnp.ones(()),) * 3, now)
     np.testing.assert_allclose(got, [1 - 0.3, 1 - 0.2, 1 - 0.1], rtol=1e-4)
@@ -816,7 +816,7 @@ def test_layers_rub_more_the_more_they_are_bent():
 
 def warmed(kind: Any, kelvin: float, hook: str = "phi") -> jax.Array:
     """What becomes of a friction, or stiffness, of 1."""
-    now: Any = SimpleNamespace(warm=jnp.asarray(kelvin), h=jnp.asarray(0.01))
+    now: Any = SimpleNamespace(warm=jnp.asarray(kelvin), h=jnp.asarray(0.01), u=(jnp.zeros(()),) * 2)
     return getattr(kind, hook)(kind.start(now), (jnp.ones(()),), now)[0]
 
 
@@ -1311,12 +1311,27 @@ def test_what_lies_inside_warms_later():
     """With 50 s, from 1.5 ΔT at a run's start."""
     kind: Any = REGISTRY["thermal_drift"]
     warms = kind(friction_per_k=0.1, inside_s=50.0, kept=1.5)
-    now: Any = SimpleNamespace(warm=jnp.asarray(2.0), h=jnp.asarray(0.5))
+    now: Any = SimpleNamespace(warm=jnp.asarray(2.0), h=jnp.asarray(0.5), u=(jnp.zeros(()),) * 2)
     memory = warms.start(now)
     assert float(warms.phi(memory, (jnp.ones(()),), now)[0]) == pytest.approx(1.3, abs=1e-3)
     for _ in range(100):
         memory = warms.remember(memory, now, now)
     assert float(warms.phi(memory, (jnp.ones(()),), now)[0]) == pytest.approx(1.2 + 0.1 * np.exp(-1), abs=1e-3)
+
+
+def test_work_warms_what_no_thermometer_shows():
+    """k = 4 K a (10 N)², within 20 s, from nothing at a run's start."""
+    kind: Any = REGISTRY["thermal_drift"]
+    warms = kind(friction_per_k=0.1, viscous_per_k=0.1, worked_k=4.0, worked_s=20.0)
+    now: Any = SimpleNamespace(warm=jnp.zeros(()), h=jnp.asarray(0.5), u=(jnp.asarray(10.0), jnp.asarray(5.0)))
+    memory = warms.start(now)
+    assert float(warms.phi(memory, (jnp.ones(()),), now)[0]) == pytest.approx(1.0, abs=0.01)
+    for _ in range(40):
+        memory = warms.remember(memory, now, now)
+    worked = 4.0 * 1.25 * (1 - np.exp(-1))
+    assert float(warms.phi(memory, (jnp.ones(()),), now)[0]) == pytest.approx(1 + 0.1 * worked, abs=0.01)
+    stage: Any = SimpleNamespace(phi=(jnp.ones(()),), friction=SimpleNamespace(sigma2=jnp.ones(())))
+    assert float(warms.torque(memory, 0, jnp.zeros(()), jnp.ones(()), stage)) == pytest.approx(0.1 * worked, rel=1e-3)
 
 
 def test_a_load_may_swing_on_a_thread(robot):
@@ -1337,6 +1352,18 @@ def test_a_load_may_swing_on_a_thread(robot):
     assert np.diff(turns).mean() * h == pytest.approx(np.pi * np.sqrt(length / 9.80665), rel=0.01)
     bare = tuple(tuple(0.0 * one for _ in range(2)) for _ in range(2))
     assert float(load.inertia(memory, bare, drawn)[0][0]) == 0.0
+
+
+def test_a_filter_may_smooth_less_what_moves_fast():
+    """What moves steadily at v is late by τ/(1 + a |v|)."""
+    kind: Any = REGISTRY["sensor_filter"]
+    sensor = kind(tau_s=0.1, later=0.0, adapts=4.0)
+    now: Any = SimpleNamespace(q=(jnp.zeros(()),), h=jnp.asarray(0.01))
+    for v in (0.05, 2.0):
+        memory, y = sensor.start(now), jnp.zeros(())
+        for k in range(1, 101):
+            (y,), memory = sensor.sense(memory, (jnp.asarray(0.01 * k * v),), now)
+        assert (v - float(y)) / v == pytest.approx(0.1 / (1 + 4.0 * v), rel=1e-3)
 
 
 def test_angles_smoothed_afterwards_need_not_lag(robot):
