@@ -9,7 +9,8 @@ from ljjax.effect import Effect, parameter, shape
 from ljjax.effects.shapes import lagged, positive, power, towards_base, turned
 
 LOAD_N, RUBS_NM = 10.0, 10.0
-"""Load at which a friction is the same by any power of it, and which warms by k; φ at which it is whether it goes with φ or not."""
+"""Load at which a friction is the same by any power of it, and φ at which it is whether it goes with φ or not; such a
+load on one tendon warms layers by k."""
 HARDLY_NM = 0.1
 """A friction that hardly is one: φ₁ of `LoadDependentFriction`."""
 BEND_RAD, EVEN_RAD = 0.1, 1e-4

@@ -111,8 +111,8 @@ class SensorFilter(Effect):
     """Detections are averaged: τẏ = x − y and after it a filter of second order, of the time constants r τ (1 ± i o),
     exact for angles that move steadily in a step. r = 0 is a first-order filter; r = 1 without o a moving average over
     6τ, but for terms of third order; with o > 0 it overshoots, as Butterworth's filters do. Angles smoothed afterwards
-    need not lag: of what the filter is late, τ + 2 r τ, a share u is taken back. Filters that smooth less what moves fast
-    have τ/(1 + a |ẋ|)."""
+    need not lag: of what the filter is late, τ + 2 r τ, a share u is taken back. Filters that smooth less
+    what moves fast have τ/(1 + a |ẋ|)."""
 
     id, block, axes = "sensor_filter", "sensing", ("rate", "time")
     tau_s: jax.Array = parameter("s", 0.0, 0.0, 1.0, 0.03)
