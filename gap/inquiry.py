@@ -34,6 +34,8 @@ UNTRIED, BEHIND = 0.35, 1.5
 leaves."""
 SHOWN = 2.0
 """How many times the noise's variance the base leaves at least of unseen runs that can tell what carries over."""
+FAINT = 0.5
+"""The share of the fitted runs' gap, for their length, below which unseen runs hardly show it."""
 CHANCE = 1.5
 """How many times a latency's standard deviation in the fitted runs it is taken to have in unseen ones at most."""
 ELSEWHERE = 0.05
@@ -234,15 +236,20 @@ class Inquiry:
 
     def leave_held_out(self, refits: Sequence[Refit]) -> list[float]:
         """The shares of the gap that refits leave over all runs that no fit has seen and of which the others tell; 0
-        where the base leaves little there, which speaks neither for nor against any."""
+        where the base leaves little there, which speaks neither for nor against any. Where it leaves less than `FAINT`
+        of what it does in fitted runs, what is missing to that counts as left as in these: errors of form that are
+        small beside the gap of most runs may be all that there is in one that hardly shows it."""
         study, motions = self.setting.study, self.setting.test
         seen = study.predict([self.base, *refits], motions)
         before, *after = (np.nan_to_num(study.loss(e), nan=np.inf) for e in seen)
         floor, out = study.floor(motions), []
+        faint = FAINT * self.selection.excess / max(self.selection.floor, 1e-9)
         for refit, estimate, left in zip(refits, seen[1:], after, strict=True):
             told = ~unfixed(refit.effects, self.setting.train, motions)
             least, all_, some = (float(x[told].sum()) for x in (floor, before, left))
-            share = (some - least) / (all_ - least) if all_ > SHOWN * least else 0.0
+            missing = max(faint * least - (all_ - least), 0.0)
+            as_fitted = missing * max(self.own_left(refit), 0.0)
+            share = (some - least + as_fitted) / (all_ - least + missing) if all_ > SHOWN * least else 0.0
             if share > 0 and refit.scatter.left < 1:
                 share *= study.scatter(estimate, refit.effects, told, CHANCE * refit.scatter.sd_s).left
             out.append(share)

@@ -87,17 +87,20 @@ CLIMBS, CLIMBS_AT_RAD = -0.1, (0.02, 0.05, 0.1, 0.2)
 """How much of a tension a second layer takes, and where it begins, in the searches for one."""
 
 
-HEATS_N, HOTTEST = 10.0, 0.3
-"""The tension whose current is that by which heat is counted; the least 1 + h c there is."""
+LOAD_N, HOTTEST = 10.0, 0.3
+"""The tension whose current is that by which heat and load are counted; the least 1 + h c there is."""
+LEAST = 0.05
+"""The share of a limit that is left of it, however much a motor has carried, and of a spool's radius."""
 
 
 class ActuatorGain(Effect):
     """The torque constant or the spool's radius is wrong: (1 + (e ± d) (1 − s + s c) ± w q_Σ) T_cmd, each tendon with a
     motor of its own; w where what is wound up makes the spool wider, or narrower (q_Σ: by how much the tendon is wound
-    up), and l (1 + tanh((±q̄ − q_l ∓ δ)/q_w))/2 more where it climbs onto a second layer at a mean joint's angle of q_l.
-    A share s of the error comes after a run's start, as where drives warm: τ ċ = 1 − c, c = 0 at first. Copper that its
-    own current warms carries less at a given voltage, a gear that load warms loses less: 1/(1 + (h ± d_h) c) of it is
-    left, τ ċ = (T/10 N)² − c."""
+    up), x/(1 − r x) of x = ±w q_Σ, as a torque over a radius goes for r = 1; and l (1 + tanh((±q̄ − q_l ∓ δ)/q_w))/2
+    more where it climbs onto a second layer at a mean joint's angle of q_l. A share s of the error comes after a run's
+    start, as where drives warm: τ ċ = 1 − c, c = 0 at first; a share b goes with the load, T/10 N, as where a motor's
+    iron saturates. Copper that its own current warms carries less at a given voltage, a gear that load warms loses
+    less: 1/(1 + (h ± d_h) c) of it is left, τ ċ = (T/10 N)² − c."""
 
     id, block, axes = "actuator_gain", "actuation", ("load", "everywhere", "angle")
     sudden = True
@@ -110,6 +113,8 @@ class ActuatorGain(Effect):
     layer_rad: jax.Array = shape("rad", 0.0, -1.0, 1.0, (0.0, 0.4), "angle")
     layer_over_rad: jax.Array = shape("rad", 0.02, 1e-3, 0.5, (0.02,))
     layer_apart_rad: jax.Array = shape("rad", 0.0, -0.5, 0.5, (0.0,))
+    radial: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
+    with_load: jax.Array = shape("1", 0.0, -1.0, 1.0, (1.0, 0.0))
     warms: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     warms_s: jax.Array = shape("s", 5.0, 0.1, 200.0, (5.0,))
     heats_s: jax.Array = shape("s", 5.0, 0.1, 200.0, (5.0,))
@@ -125,31 +130,26 @@ class ActuatorGain(Effect):
     def actuate(self, memory, u, now):
         mean, end = lagged(1.0 + 0.0 * now.h, memory[0], self.warms_s, now.h)
         there, wound = 1 - self.warms * (1 - mean), self.winding * sum(now.middle)
-        apart = self.difference * there + wound
         angle = sum(now.middle) / len(now.middle) - self.layer_apart_rad
         left, right = (jnp.tanh((x - self.layer_rad) / self.layer_over_rad) for x in (angle, -angle))
-        gains = (
-            1 + self.error * there + apart + self.layer * (1 + left) / 2,
-            1 + self.error * there - apart + self.layer * (1 + right) / 2,
-        )
         out, carried = [], []
-        heats = self.heat + self.heat_difference, self.heat - self.heat_difference
-        for gain, heat, t, held in zip(gains, heats, u, memory[1:], strict=True):
-            hot, after = lagged((t / HEATS_N) ** 2, held, self.heats_s, now.h)
+        for side, climbs, t, held in zip((1, -1), (left, right), u, memory[1:], strict=True):
+            error, heat = self.error + side * self.difference, self.heat + side * self.heat_difference
+            error = error * there * (1 - self.with_load + self.with_load * t / LOAD_N)
+            wider = side * wound / jnp.maximum(1 - self.radial * side * wound, LEAST)
+            hot, after = lagged((t / LOAD_N) ** 2, held, self.heats_s, now.h)
+            gain = 1 + error + wider + self.layer * (1 + climbs) / 2
             out.append(t * gain / jnp.maximum(1 + heat * hot, HOTTEST))
             carried.append(after)
         return tuple(out), (end, *carried)
 
 
-LEAST = 0.05
-"""The share of a limit that is left of it, however much a motor has carried."""
-
-
 class ActuatorSaturation(Effect):
     """A share s ± δ of each tension stays below a limit L, its edge sharp or smooth, each tendon with a motor of its
     own: T − s T (1 − (1 + (T/L)^p)^(−1/p)), where both drives have one supply by T plus a part r of the other tension.
-    The limit folds back with what the motor has carried of late: L (1 − f c), τ ċ = T/L − c. A loop that winds up at
-    the limit must unwind before it lets go: T is T + w there, τ_w ẇ = T − L, 0 ≤ w ≤ m L."""
+    The limit folds back with what the motor has carried of late: L (1 − f (c − c₀)₊), but not below k L, the load that
+    it may carry for good; τ ċ = y (1 − x + x y) − c, y = T/L, x = 1 where heat is counted. A loop that winds up at the
+    limit must unwind before it lets go: T is T + w there, τ_w ẇ = T − L, 0 ≤ w ≤ m L."""
 
     id, block, axes = "actuator_saturation", "actuation", ("load", "angle")
     share: jax.Array = parameter("1", 0.0, 0.0, 1.0, 0.5)
@@ -158,6 +158,9 @@ class ActuatorSaturation(Effect):
     edge: jax.Array = shape("1", 8.0, 1.0, 16.0, (2.0, 8.0))
     fold: jax.Array = shape("1", 0.0, 0.0, 2.0, (1.0, 0.0))
     fold_s: jax.Array = shape("s", 1.0, 0.05, 60.0, (1.0,))
+    fold_from: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
+    fold_to: jax.Array = shape("1", LEAST, LEAST, 1.0, (LEAST,))
+    by_heat: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
     shared: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     windup: jax.Array = shape("1", 0.0, 0.0, 3.0, (0.5, 0.0))
     winds_s: jax.Array = shape("s", 0.5, 0.01, 60.0, (0.5,))
@@ -170,12 +173,13 @@ class ActuatorSaturation(Effect):
         shares = self.share + self.difference, self.share - self.difference
         out, carried, wound = [], [], []
         for s, t, other, c, w in zip(shares, u, u[::-1], *memory, strict=True):
-            part = 1 - self.fold * c
-            limit = self.limit_n * jnp.where(part > LEAST, part, LEAST + 0.0 * part)
+            part = 1 - self.fold * positive(c - self.fold_from)
+            limit = self.limit_n * jnp.where(part > self.fold_to, part, self.fold_to + 0.0 * part)
             drawn = t + self.shared * other
             passed = bounded(drawn + w, limit, self.edge) / jnp.maximum(drawn, 1e-3)
             out.append(t - s * t * (1 - passed))
-            carried.append(lagged(out[-1] / self.limit_n, c, self.fold_s, now.h)[1])
+            y = out[-1] / self.limit_n
+            carried.append(lagged(y * (1 - self.by_heat + self.by_heat * y), c, self.fold_s, now.h)[1])
             most = self.windup * self.limit_n
             wound.append(jnp.minimum(positive(w + now.h / self.winds_s * (drawn - limit)), most))
         return tuple(out), (tuple(carried), tuple(wound))

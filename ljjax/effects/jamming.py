@@ -63,12 +63,12 @@ anew."""
 
 class PressureLeak(Effect):
     """The sheath holds less vacuum than the gauge, the more the longer it is held: P = (1 − L f) P_line, f rising to 1
-    with the time constant τ while there is a vacuum, and back to 0 soon after it is vented; and a share h of what it
+    with the time constant τ while there is a vacuum, and back to 0 soon after it is vented, or with another one; and a share h of what it
     lacks follows the line's vacuum that late, P = (P_line − L D)₊ with τḊ = P_line − D. A share b of the
     leak may be at folds that open with the bend, and a share m at lips that open with motion: f then goes to
     (1 − b − m)₊ + b q²/(q² + w²) + m v²/(v² + ω²), q² and v² the joints' means, and to the latter two when vented. A
     share g of the leak opens as the session goes on: L is L (1 − g exp(−S/S₀)), S the way gone by the mean joint.
-    Behind an orifice L goes with (P_line/20 kPa)^(−c), c = ½ by Bernoulli's law. Where a pump shuts off, to pump again
+    Behind an orifice L goes with (P_line/20 kPa)^(−c), c = ½ by Bernoulli's law; c < 0 where the vacuum pulls gaps open. Where a pump shuts off, to pump again
     after a time T and where another vacuum is asked for, a share p of the leak grows evenly in between: f = t/T."""
 
     id, block, axes = "pressure_leak", "jamming", ("pressure", "time")
@@ -82,7 +82,8 @@ class PressureLeak(Effect):
     open_rad_s: jax.Array = shape("rad/s", 0.3, 0.02, 10.0, (0.3,))
     of_session: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     opens_rad: jax.Array = shape("rad", 10.0, 0.1, 1e3, (0.3,), "slip")
-    chokes: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
+    chokes: jax.Array = shape("1", 0.0, -1.5, 1.0, (-1.0, 0.0))
+    seals_s: jax.Array = shape("s", VENT_S, VENT_S, 200.0, (VENT_S,))
     topped: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     tops_s: jax.Array = shape("s", 6.0, 0.3, 200.0, (6.0,))
 
@@ -103,7 +104,7 @@ class PressureLeak(Effect):
         opened = self.of_bend * bend / (bend + self.open_rad**2) + self.of_motion * rate / (rate + self.open_rad_s**2)
         moved = jnp.minimum(self.of_bend + self.of_motion, 1.0)
         goal = jnp.where(held, 1.0 - moved, 0.0 * vacuum) + opened
-        tau = jnp.where(held, self.tau_s, VENT_S + moved * (self.tau_s - VENT_S))
+        tau = jnp.where(held, self.tau_s, self.seals_s + moved * (self.tau_s - self.seals_s))
         part, leaked = lagged(goal, leaked, tau, now.h)
         late, lacking = lagged(vacuum, lacking, tau, now.h)
         share = self.share * (1 - self.of_session * jnp.exp(-slip / self.opens_rad))
@@ -230,10 +231,11 @@ class LayerHysteresis(Effect):
     (Jenkins' elements, a sum of plays), each with a torque of its own, (a + b P) (1 + g x), x from 1 at the base to −1
     at the tip; under pressure they may stretch further, x₀ (1 + w P), as they do where the vacuum makes them slide
     later but no stiffer, and the older their contacts are, x₀ (1 + a ln(1 + t/0.05 s)), t their age, ṫ = 1 − t |q̇|/d.
-    The first may slide little by little, x₀ dz/dq = (1 − z sgn q̇)^p (Dahl's model; Jenkins' for p = 0). Layers that
-    are vented may let go of the shape in which they were jammed: every stretch falls at a rate of f exp(−P/2 kPa). And
-    friction that grows with the bend, h φ |q| (1 + g x), turning round within x₀ (Dahl's). A run starts with what has
-    not slid stretched from straight, and no stretch of what has, whose past is not known."""
+    The first may slide little by little, x₀ dz/dq = (1 − z sgn q̇)^p (Dahl's model; Jenkins' for p = 0), a share e of it
+    as a spring while it is let go, z sgn q̇ < 0 (Bouc's and Wen's). Layers may creep, and those that are vented let go
+    of the shape in which they were jammed: every stretch falls at a rate of r + f exp(−P/2 kPa). And friction that
+    grows with the bend, h φ |q| (1 + g x), turning round within x₀ (Dahl's). A run starts with what has not slid
+    stretched from straight, and no stretch of what has, whose past is not known."""
 
     id, block, axes = "layer_hysteresis", "jamming", ("direction", "angle", "pressure")
     torque_nm: jax.Array = parameter("N·m", 0.0, 0.0, 5.0, 0.01)
@@ -244,10 +246,12 @@ class LayerHysteresis(Effect):
     width_rad: jax.Array = shape("rad", 0.03, 0.003, 1.0, (0.01, 0.03, 0.09))
     stretch_per_kpa: jax.Array = shape("1/kPa", 0.0, 0.0, 1.0, (0.1, 0.0))
     order: jax.Array = shape("1", 0.0, 0.0, 3.0, (1.0, 0.0))
+    elastic: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.0,))
     to_base: jax.Array = shape("1", 0.0, -1.0, 1.0, (0.0,))
     ages: jax.Array = shape("1", 0.0, 0.0, 3.0, (0.5, 0.0))
     renewed_rad: jax.Array = shape("rad", 0.03, 0.003, 1.0, (0.01,))
     forgets: jax.Array = shape("1/s", 0.0, 0.0, 50.0, (10.0, 0.0))
+    relaxes: jax.Array = shape("1/s", 0.0, 0.0, 50.0, (1.0, 0.0))
 
     def _width(self, vacuum, age):
         return self.width_rad * (1 + self.stretch_per_kpa * vacuum) * (1 + self.ages * jnp.log1p(age / AGED_S))
@@ -257,7 +261,7 @@ class LayerHysteresis(Effect):
         stretched, wider = [], []
         for near, wide, age, x in zip(memory[0], memory[1], memory[3], moved, strict=True):
             width = self._width(vacuum, age)
-            stretched.append(width * dahl(near / width, x / width, self.order))
+            stretched.append(width * dahl(near / width, x / width, self.order, self.elastic))
             wider.append(jnp.clip(wide + x, -WIDER * width, WIDER * width))
         return tuple(stretched), tuple(wider)
 
@@ -284,7 +288,7 @@ class LayerHysteresis(Effect):
         ages = tuple(
             (t + now.h) * jnp.exp(-jnp.abs(x) / self.renewed_rad) for t, x in zip(memory[3], moved, strict=True)
         )
-        kept = jnp.exp(-self.forgets * now.h * jnp.exp(-now.vacuum / FORGETS_KPA))
+        kept = jnp.exp(-now.h * (self.relaxes + self.forgets * jnp.exp(-now.vacuum / FORGETS_KPA)))
         near, wide = (tuple(kept * x for x in of) for of in self._stuck(memory, moved, now.vacuum))
         return near, wide, ways, ages
 

@@ -110,8 +110,16 @@ def gone(q: Vector, after: Vector) -> Array:
     return sum(others, first) / len(q)
 
 
-def dahl(z: Array, moved: Array, order: Array) -> Array:
-    """z in [−1, 1] after a way `moved`: dz/dx = (1 − z sgn ẋ)^order (Dahl); a spring that slides at ±1 for 0."""
+def dahl(z: Array, moved: Array, order: Array, elastic: Array | float = 0.0) -> Array:
+    """z in [−1, 1] after a way `moved`: dz/dx = (1 − z sgn ẋ)^order (Dahl); a spring that slides at ±1 for 0. A share
+    `elastic` of what is moved back goes as a spring's instead, 1 while z sgn ẋ < 0 (Bouc's and Wen's)."""
+    way = jnp.sign(moved)
+    back = jnp.clip(-way * z, 0.0, jnp.abs(moved))  # of the way, what unloads
+    sprung = _dahl(z + way * back, moved - way * back, order)
+    return (1 - elastic) * _dahl(z, moved, order) + elastic * sprung
+
+
+def _dahl(z: Array, moved: Array, order: Array) -> Array:
     way, left = jnp.sign(moved), 1 - order
     left = jnp.where(jnp.abs(left) > NEAR_ONE, left, 2 * NEAR_ONE + left)  # so that its derivative is there at 1
     before = jnp.maximum(1 - way * jnp.clip(z, -1.0, 1.0), LEAST_LEFT)
