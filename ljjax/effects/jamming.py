@@ -63,13 +63,14 @@ anew."""
 
 class PressureLeak(Effect):
     """The sheath holds less vacuum than the gauge, the more the longer it is held: P = (1 − L f) P_line, f rising to 1
-    with the time constant τ while there is a vacuum, and back to 0 soon after it is vented, or with another one; and a share h of what it
+    with the time constant τ while there is a vacuum, and back to 0 soon after it is vented; and a share h of what it
     lacks follows the line's vacuum that late, P = (P_line − L D)₊ with τḊ = P_line − D. A share b of the
     leak may be at folds that open with the bend, and a share m at lips that open with motion: f then goes to
     (1 − b − m)₊ + b q²/(q² + w²) + m v²/(v² + ω²), q² and v² the joints' means, and to the latter two when vented. A
     share g of the leak opens as the session goes on: L is L (1 − g exp(−S/S₀)), S the way gone by the mean joint.
-    Behind an orifice L goes with (P_line/20 kPa)^(−c), c = ½ by Bernoulli's law; c < 0 where the vacuum pulls gaps open. Where a pump shuts off, to pump again
-    after a time T and where another vacuum is asked for, a share p of the leak grows evenly in between: f = t/T."""
+    Behind an orifice L goes with (P_line/20 kPa)^(−c), c = ½ by Bernoulli's law; c < 0 where the vacuum pulls gaps open.
+    Where a pump shuts off, to pump again after a time T and where another vacuum is asked for, a share p of the leak
+    grows evenly in between: f = t/T."""
 
     id, block, axes = "pressure_leak", "jamming", ("pressure", "time")
     sudden = True
@@ -83,7 +84,6 @@ class PressureLeak(Effect):
     of_session: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     opens_rad: jax.Array = shape("rad", 10.0, 0.1, 1e3, (0.3,), "slip")
     chokes: jax.Array = shape("1", 0.0, -1.5, 1.0, (-1.0, 0.0))
-    seals_s: jax.Array = shape("s", VENT_S, VENT_S, 200.0, (VENT_S,))
     topped: jax.Array = shape("1", 0.0, 0.0, 1.0, (1.0, 0.0))
     tops_s: jax.Array = shape("s", 6.0, 0.3, 200.0, (6.0,))
 
@@ -104,7 +104,7 @@ class PressureLeak(Effect):
         opened = self.of_bend * bend / (bend + self.open_rad**2) + self.of_motion * rate / (rate + self.open_rad_s**2)
         moved = jnp.minimum(self.of_bend + self.of_motion, 1.0)
         goal = jnp.where(held, 1.0 - moved, 0.0 * vacuum) + opened
-        tau = jnp.where(held, self.tau_s, self.seals_s + moved * (self.tau_s - self.seals_s))
+        tau = jnp.where(held, self.tau_s, VENT_S + moved * (self.tau_s - VENT_S))
         part, leaked = lagged(goal, leaked, tau, now.h)
         late, lacking = lagged(vacuum, lacking, tau, now.h)
         share = self.share * (1 - self.of_session * jnp.exp(-slip / self.opens_rad))
