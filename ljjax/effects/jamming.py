@@ -68,7 +68,7 @@ class PressureLeak(Effect):
     leak may be at folds that open with the bend, and a share m at lips that open with motion: f then goes to
     (1 − b − m)₊ + b q²/(q² + w²) + m v²/(v² + ω²), q² and v² the joints' means, and to the latter two when vented. A
     share g of the leak opens as the session goes on: L is L (1 − g exp(−S/S₀)), S the way gone by the mean joint.
-    Behind an orifice L goes with (P_line/20 kPa)^(−c), c = ½ by Bernoulli's law; c < 0 where the vacuum pulls gaps open.
+    Behind an orifice L goes with (P_line/20 kPa)^(−c), c = ½ by Bernoulli's law; c < 0 where the vacuum opens gaps.
     Where a pump shuts off, to pump again after a time T and where another vacuum is asked for, a share p of the leak
     grows evenly in between: f = t/T."""
 
