@@ -132,6 +132,16 @@ def test_runs_that_no_fit_saw_are_asked_only_where_they_show_the_gap(touched):
     (refit,) = asked.setting.study.refit(asked.base.model, [Trial(("contact",), start)], None)
     asked.setting.test = asked.setting.train  # what is left of the fitted ones is known
     assert asked.leave_held_out([asked.base, refit]) == pytest.approx([1.0, asked.selection.own_left(refit)], abs=2e-3)
+    floor, loss = asked.setting.study.floor(asked.setting.train), asked.base.loss
+    faint = int(
+        np.argsort(loss)[1]
+    )  # touched, but hardly: what it lacks of half the usual gap counts as fitted runs do
+    asked.setting.test = [asked.setting.train[faint]]
+    half = 0.5 * asked.selection.excess / asked.selection.floor
+    lacks = half - (loss[faint] / floor[faint] - 1)
+    assert lacks > 0.3 * half
+    left = refit.loss[faint] / floor[faint] - 1 + lacks * asked.selection.own_left(refit)
+    assert asked.leave_held_out([refit]) == pytest.approx([left / half], abs=0.01)
     quiet = int(np.argmin(asked.base.loss))
     asked.setting.test = [asked.setting.train[quiet]]
     assert asked.leave_held_out([refit]) == [0.0]

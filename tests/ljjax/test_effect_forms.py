@@ -208,6 +208,20 @@ def test_layers_may_stay_packed_until_the_vacuum_is_nearly_gone(effect, hook):
         memory = law.remember(memory, at(vacuum), None)
 
 
+def test_a_gain_may_go_with_the_load_or_as_a_torque_over_a_radius():
+    """e = 0.1, half of it with the load; and 1/(1 + 0.5 q_Σ) on the left, 1/(1 − 0.5 q_Σ) on the right."""
+    kind: Any = REGISTRY["actuator_gain"]
+    u, still = (jnp.asarray(5.0), jnp.asarray(20.0)), (jnp.zeros(()),) * 2
+    now: Any = SimpleNamespace(u=u, middle=still, h=jnp.asarray(0.01))
+    loaded = kind(error=0.1, with_load=0.5)
+    got, _ = loaded.actuate(loaded.start(now), u, now)
+    np.testing.assert_allclose(np.array(got), [5.0 * 1.075, 20.0 * 1.15], rtol=1e-5)
+    now.middle = (jnp.asarray(0.3), jnp.asarray(0.1))
+    wound = kind(winding=-0.5, radial=1.0)
+    got, _ = wound.actuate(wound.start(now), u, now)
+    np.testing.assert_allclose(np.array(got), [5.0 / 1.2, 20.0 / 0.8], rtol=1e-5)
+
+
 def test_a_cable_may_climb_onto_a_second_layer():
     """On the left spool once the mean joint has bent by 0.1 + 0.02 rad to its side, on the right one by 0.1 − 0.02."""
     kind: Any = REGISTRY["actuator_gain"]
@@ -252,10 +266,11 @@ def test_a_leak_may_be_at_what_opens_with_the_bend_or_with_motion(opens):
     assert held(0.2, 0.5) == pytest.approx(20.0 * (1 - 0.2 * (1 - np.exp(-1))), rel=1e-3)
 
 
-def test_a_leak_behind_an_orifice_takes_less_of_a_deeper_vacuum():
-    """By the square root of it: 0.2 of 20 kPa, 0.4 of 5 kPa."""
-    leak: Any = REGISTRY["pressure_leak"](**{"share": 0.2, "tau_s": 0.05, "held": 0.0, "chokes": 0.5})
-    for line, lost in ((20.0, 4.0), (5.0, 2.0)):
+@pytest.mark.parametrize(("chokes", "of_five"), [(0.5, 2.0), (-1.0, 0.25)])
+def test_a_leak_behind_an_orifice_takes_less_of_a_deeper_vacuum(chokes, of_five):
+    """By the square root of it: 0.2 of 20 kPa, 0.4 of 5 kPa; and more where the vacuum opens gaps, 0.05 of 5 kPa."""
+    leak: Any = REGISTRY["pressure_leak"](**{"share": 0.2, "tau_s": 0.05, "held": 0.0, "chokes": chokes})
+    for line, lost in ((20.0, 4.0), (5.0, of_five)):
         q, vacuum = jnp.zeros((2,)), jnp.asarray(line)
         now: Any = SimpleNamespace(vacuum=vacuum, h=jnp.asarray(0.1), middle=q, v=q, worn=jnp.asarray(0.0))
         memory, held = leak.start(now), vacuum
@@ -690,6 +705,26 @@ def test_a_motors_limit_folds_back_while_it_carries():
         assert float(right) == pytest.approx(5.0, abs=1e-3)
     assert felt[0] == pytest.approx(felt[-1]) == pytest.approx(30.0, rel=0.01)
     assert felt[499] == pytest.approx(20.0, rel=0.05)
+
+
+def test_a_hot_motor_is_derated_to_what_it_may_carry_for_good():
+    """From c₀ = 0.2 on, and to 0.6 of 40 N; by heat, what is carried counts by its square."""
+    kind: Any = REGISTRY["actuator_saturation"]
+    h, u = 0.01, (jnp.asarray(20.0), jnp.zeros(()))
+    now: Any = SimpleNamespace(u=u, h=jnp.asarray(h))
+    for by_heat, hot in ((0.0, 0.5), (1.0, 0.25)):
+        motor = kind(share=1.0, limit_n=40.0, edge=16.0, fold=1.0, fold_s=0.5, fold_from=0.2, by_heat=by_heat)
+        memory = motor.start(now)
+        for _ in range(1000):
+            _, memory = motor.actuate(memory, u, now)
+        assert float(memory[0][0]) == pytest.approx(hot, rel=0.02)
+        felt = motor.actuate(memory, (jnp.asarray(100.0), u[1]), now)[0][0]
+        assert float(felt) == pytest.approx(40.0 * (1 - (hot - 0.2)), rel=0.01)
+    lasting = kind(share=1.0, limit_n=40.0, edge=16.0, fold=2.0, fold_s=0.5, fold_to=0.6)
+    memory = lasting.start(now)
+    for _ in range(1000):
+        (felt, _), memory = lasting.actuate(memory, (jnp.asarray(100.0), u[1]), now)
+    assert float(felt) == pytest.approx(0.6 * 40.0, rel=0.01)
 
 
 def test_creep_goes_by_a_power_of_its_stress():
@@ -1182,16 +1217,19 @@ def test_each_tendon_may_be_commanded_by_a_drive_of_its_own():
     assert np.abs(off[2:]).max() < 0.05 * 6 * 0.4 * delay
 
 
-@pytest.mark.parametrize("order", [0.0, 0.5, 1.0, 2.0])
-def test_layers_may_slide_little_by_little(order):
-    """Dahl's model, against its differential equation in small steps, there and back."""
+@pytest.mark.parametrize(("order", "elastic"), [(0.0, 0.0), (0.5, 0.0), (1.0, 0.0), (2.0, 0.0), (1.0, 1.0), (0.6, 1.0)])
+def test_layers_may_slide_little_by_little(order, elastic):
+    """Dahl's model, and Bouc's and Wen's, that lets go as a spring, against their differential equations in small
+    steps, there and back."""
     way = 0.03 * np.concatenate([np.linspace(0, 2.5, 500), np.linspace(2.5, -1.0, 700)])
     z, held, out = 0.0, jnp.zeros(()), []
     for k in range(1, len(way)):
         x = way[k] - way[k - 1]
         for _ in range(20):
-            z = float(np.clip(z + x / 20 / 0.03 * max(1 - z * np.sign(x), 0.0) ** order, -1, 1))
-        held = dahl(held, jnp.asarray(x / 0.03), jnp.asarray(order))
+            along = z * np.sign(x)
+            slope = 1.0 if elastic and along < 0 else max(1 - along, 0.0) ** order
+            z = float(np.clip(z + x / 20 / 0.03 * slope, -1, 1))
+        held = dahl(held, jnp.asarray(x / 0.03), jnp.asarray(order), elastic)
         out.append((z, float(held)))
     exact, found = np.array(out).T
     np.testing.assert_allclose(found, exact, atol=0.02)
@@ -1277,20 +1315,21 @@ def test_layers_hold_the_better_the_longer_they_lie():
 
 
 def test_vented_layers_let_go_of_the_shape_in_which_they_were_jammed():
-    """At 5/s a stretch of 0.02 rad is e⁻¹ of it after 0.2 s without vacuum, and as it was under 20 kPa."""
+    """At 5/s a stretch of 0.02 rad is e⁻¹ of it after 0.2 s without vacuum, and as it was under 20 kPa; or under any
+    vacuum, where layers creep."""
     kind: Any = REGISTRY["layer_hysteresis"]
-    layers, h = kind(torque_nm=0.1, width_rad=0.05, forgets=5.0), 0.01
-    felt = {}
-    for vacuum in (0.0, 20.0):
+    felt, h = {}, 0.01
+    for way, vacuum in (("forgets", 0.0), ("forgets", 20.0), ("relaxes", 20.0)):
+        layers = kind(torque_nm=0.1, width_rad=0.05, **{way: 5.0})
         q = (jnp.asarray(0.3),)
         at: Any = SimpleNamespace(q=q, middle=q, phi=(1.0,), vacuum=jnp.asarray(vacuum), h=h)
         memory = layers.start(at)
         memory = ((jnp.asarray(0.02),), *memory[1:])
         for _ in range(20):
             memory = layers.remember(memory, at, at)
-        felt[vacuum] = -float(layers.load(memory, (jnp.zeros(()),), at)[0])
-    assert felt[0.0] == pytest.approx(0.1 * 0.4 * np.exp(-1), rel=1e-3)
-    assert felt[20.0] == pytest.approx(0.1 * 0.4, rel=1e-3)
+        felt[way, vacuum] = -float(layers.load(memory, (jnp.zeros(()),), at)[0])
+    assert felt["forgets", 0.0] == felt["relaxes", 20.0] == pytest.approx(0.1 * 0.4 * np.exp(-1), rel=1e-3)
+    assert felt["forgets", 20.0] == pytest.approx(0.1 * 0.4, rel=1e-3)
 
 
 def test_what_load_presses_together_parts_later():
