@@ -56,7 +56,9 @@ SHARPLY = 5.0
 class ActuatorDeadband(Effect):
     """Stiction of gearbox and spool eats a share s ± δ of each tension's first d newtons, each tendon with a motor of
     its own: T − s T (1 + (T/d)^p)^(−1/p), (T − d)₊ for s = 1 and a sharp edge, p → ∞. Where what turns rubs less the
-    more it is drawn, what is eaten falls as exp(−f (T/d − 1)₊)."""
+    more it is drawn, what is eaten falls as exp(−f (T/d − 1)₊); where load presses the teeth it is 1 + g T/10 N of that;
+    and while a tendon is let go it is 1 − r of it, r = 2 where what rubs then holds the tension up, after a fall by
+    some ΔT."""
 
     id, block, axes = "actuator_deadband", "actuation", ("load", "everywhere", "angle")
     share: jax.Array = parameter("1", 0.0, 0.0, 1.0, 0.5)
@@ -66,20 +68,25 @@ class ActuatorDeadband(Effect):
     fades: jax.Array = shape("1", 0.0, 0.0, 3.0, (0.5, 0.0))
     thins: jax.Array = shape("1", 0.0, 0.0, 1.0, (0.6, 0.0))
     thins_s: jax.Array = shape("s", 2.0, 0.05, 100.0, (2.0,))
+    let_go: jax.Array = shape("1", 0.0, 0.0, 2.0, (1.0, 0.0))
+    turn_n: jax.Array = shape("N", 0.5, 0.01, 20.0, (0.5,))
+    pressed: jax.Array = shape("1", 0.0, 0.0, 3.0, (0.0,))
 
     def start(self, now):
-        return tuple(0.0 * t for t in now.u)
+        return tuple((0.0 * t, 1.0 + 0.0 * t, t) for t in now.u)
 
     def actuate(self, memory, u, now):
         out, after = [], []
         shares = self.share + self.difference, self.share - self.difference
-        for t, worked, share in zip(u, memory, shares, strict=True):
+        for t, (worked, way, last), share in zip(u, memory, shares, strict=True):
             turns = 0.5 + 0.5 * jnp.tanh(SHARPLY * (t / self.band_n - 1))
             mean, end = lagged(turns, worked, self.thins_s * (2 - turns), now.h)
             part = jnp.exp(-self.fades * jnp.maximum(t / self.band_n - 1, 0.0)) * (1 - self.thins * mean)
+            way = turned(way, t - last, self.turn_n)
+            part = part * (1 - 0.5 * self.let_go * (1 - way)) * (1 + self.pressed * t / LOAD_N)
             x = t - share * part * bounded(t, self.band_n, self.edge)
             out.append(jnp.where(t > 0, positive(x), x))
-            after.append(end)
+            after.append((end, way, t))
         return tuple(out), tuple(after)
 
 

@@ -131,7 +131,7 @@ class ThermalDrift(Effect):
     def _inside(self, memory, now):
         """What is warm inside, on average over a step [K], and the memory at its end."""
         mean, warm = lagged(now.warm, memory[0], self.inside_s, now.h)
-        work = sum((u / LOAD_N) ** 2 for u in now.u)
+        work = (now.u[0] / LOAD_N) ** 2 + (now.u[1] / LOAD_N) ** 2
         worked, carried = lagged(work, memory[1], self.worked_s, now.h)
         return mean + self.worked_k * worked, (warm, carried)
 
