@@ -302,9 +302,9 @@ class Inquiry:
                 promised = 1 - screen.gains[screen.best(i)] / self.selection.gap
                 left[i] = fell_behind(measured.joined(promised, ()), best)
         size = {i: found.single[i].trial.size if i in found.single else 1 for i in left}
-        used = {i: r.used[i] for i, r in found.single.items()}
+        used = {i: self.selection.used(r)[i] for i, r in found.single.items()}
         if len(found.best.ids) > 1:
-            used |= found.best.used
+            used |= self.selection.used(found.best)
             least = self.left(found.best)
             alone = {i: left[i] for i in found.best.ids}
             least_alone = min(alone.values())
@@ -326,7 +326,7 @@ class Inquiry:
             for place, i, r in found.exchanged:
                 if self.left(r) + behind[place] < left[i]:
                     stands_for(i, r, place)
-                    used[i] = r.used[i]
+                    used[i] = self.selection.used(r)[i]
                     size[i] = sum(p.startswith(f"effects.{i}.") for p in r.trial.start)
         chance = judge.chance(self.null, max(self.gained.values(), default=0.0), self.one)
         count = len(self.setting.study.names)

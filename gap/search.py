@@ -94,15 +94,15 @@ class Refit:
             out.append(max(sizes, key=abs, default=0.0) > 0)
         return tuple(out)
 
-    @cached_property
-    def used(self) -> dict[str, int]:
-        """How many parameters of each effect are told from their null, or usual value: what it needs, whatever was
-        free; all ways in which it varies count for one. One at least."""
+    def used(self, free: float = 0.0) -> dict[str, int]:
+        """How many parameters of each effect are told from their null, or usual value, and are of account, as those are
+        not that together are worth a χ² of `free` at most: what it needs, whatever was free; all ways in which it
+        varies count for one. One at least."""
         out = {}
         for e in self.effects:
             names, covariance = self._spread(e.id)
             off = np.array([float(getattr(e, n)) - float(e.fields()[n]["null"]) for n in names])
-            told = {names[i] for i in needed(off, covariance)} - HALFWAY.keys()
+            told = {names[i] for i in needed(off, covariance, free)} - HALFWAY.keys()
             out[e.id] = max(len(told - WAYS.keys()) + bool(told & WAYS.keys()), 1)
         return out
 
@@ -131,15 +131,16 @@ def units(left: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return unit, HUBER * np.maximum(left, unit)
 
 
-def needed(off: np.ndarray, covariance: np.ndarray) -> list[int]:
+def needed(off: np.ndarray, covariance: np.ndarray, free: float = 0.0) -> list[int]:
     """Which of parameters so far (p,) from their nulls, of a covariance (p, p), are told from them: those that remain
     where one after the other that costs least is put to its null, the others following it, until each would cost
-    `TOLD` standard deviations."""
-    rest, off, covariance = list(range(len(off))), off.copy(), covariance.copy()
+    `TOLD` standard deviations and all together a χ² of more than `free`."""
+    rest, off, covariance, cost = list(range(len(off))), off.copy(), covariance.copy(), 0.0
     while rest:
         variance = np.maximum(np.diag(covariance), 1e-300)
         i = int(np.argmin(off**2 / variance))
-        if abs(off[i]) > TOLD * np.sqrt(variance[i]):
+        cost += off[i] ** 2 / variance[i]
+        if abs(off[i]) > TOLD * np.sqrt(variance[i]) and cost > free:
             break
         along = covariance[:, i] / variance[i]
         off, covariance = off - along * off[i], covariance - np.outer(along, covariance[i])

@@ -32,6 +32,8 @@ WELL, ANEW = 0.05, 3
 begun at the given model once more."""
 HEARD = 3
 """How many effects that measured inputs show are begun as they show there."""
+LITTLE = 0.001
+"""The share of the gap up to which all that parameters take together does not count for their effect."""
 ALIKE = 0.005
 """The share of the gap, left by a leader, from which it is begun with other parameters that do much the same."""
 ASTRAY, LOST = 0.98, 8
@@ -139,6 +141,10 @@ class Selection:
         """The variance that a refit leaves, its colour counted: the loss that a χ² of 1 stands for."""
         error = refit.estimate.error / self.study.unit
         return float(screening.colour(error, refit.estimate.windows.sample_run) * np.mean(error**2))
+
+    def used(self, refit: Refit) -> dict[str, int]:
+        """How many parameters each effect of a refit needs, but for those that take next to nothing of the gap."""
+        return refit.used(LITTLE / max(self.unit_of(refit), 1e-300))
 
     def _leaders(self) -> list[Refit]:
         """The candidates that promise most, refitted alone."""
@@ -423,7 +429,7 @@ class Selection:
                 key = tuple(sorted(r.ids))
                 found.joint[key] = min(found.joint[key], r, key=lambda x: x.total)
         least = min(0.0, *(self.left(r) for r in rivals))
-        worth = [judge.worth(judge.blurred(self.left(r) - least, unit), sum(r.used.values())) for r in rivals]
+        worth = [judge.worth(judge.blurred(self.left(r) - least, unit), sum(self.used(r).values())) for r in rivals]
         found.best = rivals[int(np.argmax(worth))]
 
     def _finish(self) -> None:

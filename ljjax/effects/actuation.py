@@ -56,9 +56,9 @@ SHARPLY = 5.0
 class ActuatorDeadband(Effect):
     """Stiction of gearbox and spool eats a share s ± δ of each tension's first d newtons, each tendon with a motor of
     its own: T − s T (1 + (T/d)^p)^(−1/p), (T − d)₊ for s = 1 and a sharp edge, p → ∞. Where what turns rubs less the
-    more it is drawn, what is eaten falls as exp(−f (T/d − 1)₊); where load presses the teeth it is 1 + g T/10 N of that;
-    and while a tendon is let go it is 1 − r of it, r = 2 where what rubs then holds the tension up, after a fall by
-    some ΔT."""
+    more it is drawn, what is eaten falls as exp(−f (T/d − 1)₊); where load presses the teeth it is 1 + g T/10 N of
+    that; and while a tendon is let go, after a fall by some ΔT, it is 1 − r of it, r = 2 where what rubs then holds the
+    tension up."""
 
     id, block, axes = "actuator_deadband", "actuation", ("load", "everywhere", "angle")
     share: jax.Array = parameter("1", 0.0, 0.0, 1.0, 0.5)

@@ -32,6 +32,12 @@ def test_parameters_that_stand_for_one_another_count_once(off, along, told):
     assert needed(np.array(off), covariance) == told
 
 
+def test_parameters_that_take_little_do_not_count():
+    """Of 3, 5 and 9 standard deviations the first two together cost a χ² of 34."""
+    off = np.array([5.0, 9.0, 3.0])
+    assert [needed(off, np.eye(3), free) for free in (0.0, 9.5, 33.0, 35.0)] == [[0, 1, 2], [0, 1], [0, 1], [1]]
+
+
 def test_of_many_trials_those_that_fall_behind_go_no_further():
     trials = [Trial(("contact",), {"effects.contact.k": float(k)}) for k in range(7)]
     asked: list[tuple[list[Any], list[Trial], int]] = []
