@@ -208,6 +208,21 @@ def test_layers_may_stay_packed_until_the_vacuum_is_nearly_gone(effect, hook):
         memory = law.remember(memory, at(vacuum), None)
 
 
+def test_a_gear_rubs_less_while_a_tendon_is_let_go_and_more_under_load():
+    """2 N of what is drawn, times 1 + 0.5 T/10 N; the other way round once it has been let go by some ΔT, for r = 2."""
+    gear: Any = REGISTRY["actuator_deadband"](
+        **{"share": 1.0, "band_n": 2.0, "let_go": 2.0, "turn_n": 0.1, "pressed": 0.5}
+    )
+    now: Any = SimpleNamespace(u=(jnp.asarray(5.0), jnp.zeros(())), h=jnp.asarray(0.01))
+    memory, felt = gear.start(now), {}
+    for t in (5.0, 10.0, 20.0, 10.0, 5.0):
+        (one, _), memory = gear.actuate(memory, (jnp.asarray(t), jnp.zeros(())), now)
+        felt.setdefault(t, []).append(float(one))
+    assert felt[20.0] == pytest.approx([20.0 - 2.0 * 2.0], abs=0.01)
+    assert felt[10.0] == pytest.approx([10.0 - 3.0, 10.0 + 3.0], abs=0.01)
+    assert felt[5.0] == pytest.approx([5.0 - 2.5, 5.0 + 2.5], abs=0.01)
+
+
 def test_a_gain_may_go_with_the_load_or_as_a_torque_over_a_radius():
     """e = 0.1, half of it with the load; and 1/(1 + 0.5 q_Σ) on the left, 1/(1 − 0.5 q_Σ) on the right."""
     kind: Any = REGISTRY["actuator_gain"]
