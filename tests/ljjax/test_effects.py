@@ -352,7 +352,7 @@ def test_what_an_effect_remembers_at_the_start_is_what_reaches_it(robot):
 def test_no_effect_makes_a_friction_or_a_stiffness_that_drives(robot):
     """However far it takes them down, a fiftieth is left."""
     at, still = Drive(*jnp.zeros(3), warm=jnp.asarray(10.0)), (jnp.zeros(()),) * 3
-    bent = step.Unrolled((jnp.asarray(0.3),) * 3, still, still, ((at.warm,),))
+    bent = step.Unrolled((jnp.asarray(0.3),) * 3, still, still, ((at.warm, at.warm),))
 
     def after(**per_k: float) -> np.ndarray:
         model = dataclasses.replace(robot(3), effects=(build("thermal_drift", per_k),))
