@@ -70,7 +70,7 @@ class ActuatorDeadband(Effect):
     thins_s: jax.Array = shape("s", 2.0, 0.05, 100.0, (2.0,))
     let_go: jax.Array = shape("1", 0.0, 0.0, 2.0, (1.0, 0.0))
     turn_n: jax.Array = shape("N", 0.5, 0.01, 20.0, (0.5,))
-    pressed: jax.Array = shape("1", 0.0, 0.0, 3.0, (0.0,))
+    pressed: jax.Array = shape("1", 0.0, 0.0, 0.5, (0.0,))
 
     def start(self, now):
         return tuple((0.0 * t, 1.0 + 0.0 * t, t) for t in now.u)
