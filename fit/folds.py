@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -17,7 +17,7 @@ STEADY_KPA = 3.0
 """Runs whose vacuum moves by less are at one pressure, and at the same one where theirs are closer."""
 
 
-def left_out(estimate: Estimate, fold: np.ndarray) -> np.ndarray:
+def left_out(estimate: Estimate, fold: np.ndarray, held: Collection[int] = ()) -> np.ndarray:
     """(N, c) measured − predicted [rad] of each sample where its whole fold is left out of the fit: one Gauss–Newton
     step on the other folds, which makes up for a search that stopped short of its optimum too.
 
@@ -26,6 +26,7 @@ def left_out(estimate: Estimate, fold: np.ndarray) -> np.ndarray:
 
     Args:
         fold: (R,) which fold each run is in.
+        held: coordinates that stay as they were fitted to all runs.
     """
     e, weight = estimate, estimate.weight / estimate.sigma**2
     reach = FAR * e.problem.coordinates.spread
@@ -36,6 +37,8 @@ def left_out(estimate: Estimate, fold: np.ndarray) -> np.ndarray:
             low, high = sorted(-end / (slope[k] * reach[k]) for end in ends)
             on = min(-low, high) < ON_BOUND
             box[0][k], box[1][k] = (-ON_BOUND, ON_BOUND) if on else (max(low, -1.0), min(high, 1.0))
+    for k in held:
+        box[0][k], box[1][k] = -ON_BOUND, ON_BOUND
     whole = np.linalg.pinv(e.white, rcond=1e-14, hermitian=True)
     out = np.empty_like(e.error)
     for k in np.unique(fold):

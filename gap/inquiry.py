@@ -267,8 +267,9 @@ class Inquiry:
         return out
 
     def _unseen(self, refit: Refit) -> np.ndarray:
-        """(F,) loss above the floor of each fold where it is left out."""
-        return self._above(folds.left_out(refit.estimate, self.folds[1]))
+        """(F,) loss above the floor of each fold where it is left out; what the effects do not need stays as all runs
+        had it, or every form that they might have would speak against them."""
+        return self._above(folds.left_out(refit.estimate, self.folds[1], self.selection.idle(refit)))
 
     def _above(self, error: np.ndarray) -> np.ndarray:
         """(F,) loss above the floor of errors (N, c) [rad] in each fold."""

@@ -100,11 +100,21 @@ class Refit:
         varies count for one. One at least."""
         out = {}
         for e in self.effects:
-            names, covariance = self._spread(e.id)
-            off = np.array([float(getattr(e, n)) - float(e.fields()[n]["null"]) for n in names])
-            told = {names[i] for i in needed(off, covariance, free)} - HALFWAY.keys()
+            told = self._told(e, free) - HALFWAY.keys()
             out[e.id] = max(len(told - WAYS.keys()) + bool(told & WAYS.keys()), 1)
         return out
+
+    def idle(self, free: float) -> list[int]:
+        """The coordinates of the effects' parameters that are not so used."""
+        c, told = self.estimate.problem.coordinates, {e.id: self._told(e, free) for e in self.effects}
+        slope = c.jacobian(self.estimate.x)
+        mine = [(i, n.split(".")) for i, n in enumerate(c.names) if n.startswith("effects.")]
+        return [int(np.argmax(slope[i] != 0)) for i, (_, effect, n) in mine if n not in told.get(effect, {n})]
+
+    def _told(self, effect: Effect, free: float) -> set[str]:
+        names, covariance = self._spread(effect.id)
+        off = np.array([float(getattr(effect, n)) - float(effect.fields()[n]["null"]) for n in names])
+        return {names[i] for i in needed(off, covariance, free)}
 
     def _spread(self, effect: str) -> tuple[list[str], np.ndarray]:
         """An effect's free parameters (p names) and their covariance (p, p)."""

@@ -144,7 +144,14 @@ class Selection:
 
     def used(self, refit: Refit) -> dict[str, int]:
         """How many parameters each effect of a refit needs, but for those that take next to nothing of the gap."""
-        return refit.used(LITTLE / max(self.unit_of(refit), 1e-300))
+        return refit.used(self._little(refit))
+
+    def idle(self, refit: Refit) -> list[int]:
+        """The coordinates of its other ones."""
+        return refit.idle(self._little(refit))
+
+    def _little(self, refit: Refit) -> float:
+        return LITTLE / max(self.unit_of(refit), 1e-300)
 
     def _leaders(self) -> list[Refit]:
         """The candidates that promise most, refitted alone."""

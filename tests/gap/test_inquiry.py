@@ -38,6 +38,7 @@ def inquiry(*effects: Any, kinds: Any = (Contact, BaseTilt), seen: Any = lambda 
     asked: Any = Inquiry.__new__(Inquiry)
     asked.setting, asked.base = SimpleNamespace(study=study, train=runs, test=()), study.base()
     asked.selection = object.__new__(Selection)
+    asked.selection.study = study
     asked.selection.floor = float(study.floor(runs).sum())
     asked.selection.excess = asked.base.total - asked.selection.floor
     asked.measured = SimpleNamespace(joined=lambda share, _: share)

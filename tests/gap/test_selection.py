@@ -260,7 +260,7 @@ def test_an_effect_tried_beside_another_before_is_begun_anew_where_that_one_is_k
 
     def refitted(ids: tuple[str, ...], left: float) -> Any:
         used = dict.fromkeys(ids, uses if delay in ids else 1)
-        more: Any = {"used": used, "trial": Trial(ids), "scatter": NO_SCATTER}
+        more: Any = {"used": lambda free: used, "trial": Trial(ids), "scatter": NO_SCATTER}
         return SimpleNamespace(ids=ids, total=100 + 900 * left, model=ids, **more)
 
     tilt, lag, delay = "base_tilt", "actuator_lag", "actuator_delay"
