@@ -190,6 +190,11 @@ def test_a_parameter_on_its_bound_stays_there_where_a_run_is_left_out(low, follo
     np.testing.assert_allclose(second, (0.1 + 0.1 * follows) * x, atol=1e-3)
 
 
+def test_what_is_held_stays_where_a_run_is_left_out():
+    _, e = line(0.0, -1.0)
+    np.testing.assert_allclose(left_out(e, np.arange(2), [0]), e.error, atol=1e-5)
+
+
 def test_what_is_left_of_a_left_out_run_does_not_hang_on_where_the_search_stopped():
     ended, short = (left_out(line(by, -1.0)[1], np.arange(2)) for by in (0.0, 0.07))
     np.testing.assert_allclose(short, ended, atol=1e-3)

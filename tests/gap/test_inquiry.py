@@ -120,6 +120,18 @@ def test_runs_that_never_touch_an_obstacle_say_nothing_against_it(touched):
     assert said.startswith(f"of the runs fitted hardly any but {touches} shows contact: ")
 
 
+def test_forms_that_an_effect_does_not_need_stay_where_runs_are_left_out(touched):
+    asked, angle = touched
+    forms = {f"effects.contact.{n}": float(about["null"]) for n, about in Contact.fields().items()}
+    start = {**forms, "effects.contact.stop": 10.0, "effects.contact.angle_rad": angle + 0.01}
+    (refit,) = asked.setting.study.refit(asked.base.model, [Trial(("contact",), start)], None)
+    names = refit.estimate.problem.coordinates.names
+    idle = {names[k] for k in asked.selection.idle(refit)}
+    assert idle < forms.keys() and "effects.contact.angle_rad" not in idle
+    assert asked.selection.used(refit)["contact"] == len(forms) - len(idle)
+    assert refit.idle(0.0) and {*refit.idle(0.0)} <= {*asked.selection.idle(refit)}
+
+
 def test_what_acts_in_every_run_answers_for_each_of_them(touched):
     asked, _ = touched
     left, unseen, told, closes = shares(asked, Trial(("base_tilt",), {"effects.base_tilt.tilt_rad": 0.05}))
