@@ -111,6 +111,23 @@ class Refit:
         mine = [(i, n.split(".")) for i, n in enumerate(c.names) if n.startswith("effects.")]
         return [int(np.argmax(slope[i] != 0)) for i, (_, effect, n) in mine if n not in told.get(effect, {n})]
 
+    def needless(self, free: float) -> dict[str, float]:
+        """The nulls, by path, of the sizes that are not so used, what forms they have as it is; none of an effect of
+        which no size is used."""
+        out: dict[str, float] = {}
+        for e in self.effects:
+            names, covariance = self._spread(e.id)
+            sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+            own = [i for i, n in enumerate(names) if n in e.sizes()]
+            known = np.linalg.pinv(covariance / np.outer(sd, sd), rcond=1e-10, hermitian=True)[np.ix_(own, own)]
+            spread = np.linalg.pinv(known, rcond=1e-10, hermitian=True) * np.outer(sd[own], sd[own])
+            nulls = {names[i]: float(e.fields()[names[i]]["null"]) for i in own}
+            off = np.array([float(getattr(e, n)) - x for n, x in nulls.items()])
+            told = {[*nulls][i] for i in needed(off, spread, free)}
+            if told:
+                out |= {f"effects.{e.id}.{n}": x for n, x in nulls.items() if n not in told}
+        return out
+
     def _told(self, effect: Effect, free: float) -> set[str]:
         names, covariance = self._spread(effect.id)
         off = np.array([float(getattr(effect, n)) - float(effect.fields()[n]["null"]) for n in names])
@@ -265,6 +282,12 @@ class Study:
         found = self._refit([r.model for r in refits], [r.trial for r in refits], {}, WHOLE, stage)
         further = {id(r.trial): r for r in found}
         return [min((further.get(id(r.trial), r), r), key=lambda x: x.total) for r in refits]
+
+    def without(self, gone: Sequence[tuple[Refit, Mapping[str, float]]], stage: str) -> list[Refit]:
+        """Refits begun once more where some of their effects' parameters stay at given values, by path."""
+        left = [{p: x for p, x in r.free_effects.items() if p not in nulls} for r, nulls in gone]
+        trials = [Trial(r.ids, start) for (r, _), start in zip(gone, left, strict=True)]
+        return self._refit([replace(r.model, nulls) for r, nulls in gone], trials, {}, WHOLE, stage)
 
     def varied(self, refits: Sequence[Refit], stage: str) -> list[Refit]:
         """Refits of effects that are let vary (`ljjax.effects.varying`) in this study, from where they were."""

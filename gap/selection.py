@@ -452,8 +452,17 @@ class Selection:
             return
         near = sorted(found.single.values(), key=self.left)[:CLOSE]
         near = [r for r in near if self.left(r) <= CLOSER * max(least, 0.01)]
-        found.single |= {r.ids[0]: r for r in self.study.polished(near, "the best to their end")}
+        near = self._plainest(self.study.polished(near, "the best to their end"))
+        found.single |= {r.ids[0]: r for r in near}
         found.best = min(found.single.values(), key=self.left)
+
+    def _plainest(self, refits: Sequence[Refit]) -> list[Refit]:
+        """The same without the sizes of their effects that take next to nothing of the gap, where that is so once the
+        others are refitted: what forms such sizes would have says nothing."""
+        gone = [(r, r.needless(self._little(r))) for r in refits]
+        fewer = {r.ids: r for r in self.study.without([(r, x) for r, x in gone if x], "in their plainest form")}
+        plain = [fewer.get(r.ids, r) for r in refits]
+        return [p if self.own_left(p) < self.own_left(r) + LITTLE else r for p, r in zip(plain, refits, strict=True)]
 
     def _prune(self, found: Found, unit: float) -> None:
         """Backward: without each of several effects, where the others do nearly as well from where they came to."""
