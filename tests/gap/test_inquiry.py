@@ -132,6 +132,25 @@ def test_forms_that_an_effect_does_not_need_stay_where_runs_are_left_out(touched
     assert refit.idle(0.0) and {*refit.idle(0.0)} <= {*asked.selection.idle(refit)}
 
 
+def test_sizes_that_take_nothing_of_the_gap_are_left_out(touched):
+    """Of an obstacle, and a tilt that there is not."""
+    asked, angle = touched
+    start = {
+        "effects.contact.stop": 10.0,
+        "effects.contact.angle_rad": angle + 0.01,
+        "effects.base_tilt.tilt_rad": 0.02,
+    }
+    sizes = [f"effects.{k.id}.{n}" for k in (Contact, BaseTilt) for n in k.sizes()]
+    trial = Trial(("contact", "base_tilt"), {**dict.fromkeys(sizes, 0.0), **start})
+    (refit,) = asked.setting.study.refit(asked.base.model, [trial], None)
+    gone = refit.needless(asked.selection._little(refit))
+    assert "effects.contact.stop" not in gone and {*gone} < {*sizes} and {*gone.values()} == {0.0}
+    (plain,) = asked.setting.study.without([(refit, gone)], "plain")
+    assert {*plain.free_effects} == trial.start.keys() - gone.keys()
+    assert asked.selection.own_left(plain) < asked.selection.own_left(refit) + 0.002
+    assert asked.selection._plainest([refit])[0].free_effects.keys() == plain.free_effects.keys()
+
+
 def test_what_acts_in_every_run_answers_for_each_of_them(touched):
     asked, _ = touched
     left, unseen, told, closes = shares(asked, Trial(("base_tilt",), {"effects.base_tilt.tilt_rad": 0.05}))
