@@ -94,19 +94,19 @@ class Refit:
             out.append(max(sizes, key=abs, default=0.0) > 0)
         return tuple(out)
 
-    def used(self, free: float = 0.0) -> dict[str, int]:
+    def used(self, free: float) -> dict[str, int]:
         """How many parameters of each effect are told from their null, or usual value, and are of account, as those are
         not that together are worth a χ² of `free` at most: what it needs, whatever was free; all ways in which it
         varies count for one. One at least."""
         out = {}
         for e in self.effects:
-            told = self._told(e, free) - HALFWAY.keys()
+            told = _told(e, *self._spread(e.id), free) - HALFWAY.keys()
             out[e.id] = max(len(told - WAYS.keys()) + bool(told & WAYS.keys()), 1)
         return out
 
     def idle(self, free: float) -> list[int]:
         """The coordinates of the effects' parameters that are not so used."""
-        c, told = self.estimate.problem.coordinates, {e.id: self._told(e, free) for e in self.effects}
+        c, told = self.estimate.problem.coordinates, {e.id: _told(e, *self._spread(e.id), free) for e in self.effects}
         slope = c.jacobian(self.estimate.x)
         mine = [(i, n.split(".")) for i, n in enumerate(c.names) if n.startswith("effects.")]
         return [int(np.argmax(slope[i] != 0)) for i, (_, effect, n) in mine if n not in told.get(effect, {n})]
@@ -121,17 +121,11 @@ class Refit:
             own = [i for i, n in enumerate(names) if n in e.sizes()]
             known = np.linalg.pinv(covariance / np.outer(sd, sd), rcond=1e-10, hermitian=True)[np.ix_(own, own)]
             spread = np.linalg.pinv(known, rcond=1e-10, hermitian=True) * np.outer(sd[own], sd[own])
-            nulls = {names[i]: float(e.fields()[names[i]]["null"]) for i in own}
-            off = np.array([float(getattr(e, n)) - x for n, x in nulls.items()])
-            told = {[*nulls][i] for i in needed(off, spread, free)}
+            told = _told(e, [names[i] for i in own], spread, free)
             if told:
-                out |= {f"effects.{e.id}.{n}": x for n, x in nulls.items() if n not in told}
+                null = {names[i]: float(e.fields()[names[i]]["null"]) for i in own if names[i] not in told}
+                out |= {f"effects.{e.id}.{n}": x for n, x in null.items()}
         return out
-
-    def _told(self, effect: Effect, free: float) -> set[str]:
-        names, covariance = self._spread(effect.id)
-        off = np.array([float(getattr(effect, n)) - float(effect.fields()[n]["null"]) for n in names])
-        return {names[i] for i in needed(off, covariance, free)}
 
     def _spread(self, effect: str) -> tuple[list[str], np.ndarray]:
         """An effect's free parameters (p names) and their covariance (p, p)."""
@@ -147,6 +141,12 @@ class Refit:
         sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         (found,) = (e for e in self.effects if e.id == effect)
         return {n: (float(getattr(found, n)), float(s)) for n, s in zip(free, sd, strict=True)}
+
+
+def _told(effect: Effect, names: Sequence[str], covariance: np.ndarray, free: float) -> set[str]:
+    """Which of an effect's parameters of a covariance are `needed`."""
+    off = np.array([float(getattr(effect, n)) - float(effect.fields()[n]["null"]) for n in names])
+    return {names[i] for i in needed(off, covariance, free)}
 
 
 def units(left: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
